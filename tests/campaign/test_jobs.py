@@ -4,6 +4,7 @@ import ctypes
 import faulthandler
 import json
 import os
+import shutil
 import signal
 import subprocess
 from dataclasses import replace
@@ -21,18 +22,11 @@ from vision.run.provenance import Origin
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
 
 
-@pytest.fixture(scope="module")
-def analysis(tmp_path_factory):
-    """What tracking a short film gives."""
-    path = films(tmp_path_factory.mktemp("film"), 1)[0]
-    return vision.analyse(path, settings=vision.pipeline.Settings(fps=20.0))
-
-
-def keep(analysis, target, **facts):
+def keep(target, **facts):
     """A run folder of few files."""
     target.mkdir(parents=True)
     (target / "run.json").write_text(json.dumps({"frames": {"read": 30, "lost": 0}} | facts))
-    return analysis, ""
+    return ""
 
 
 def states(plan):
@@ -44,16 +38,16 @@ def job_of(plan):
     return job
 
 
-def test_the_page_counts_the_frames_that_were_read(tmp_path, analysis):
+def test_the_page_counts_the_frames_that_were_read(tmp_path):
     """A failure means that a film that breaks off looks whole."""
     plan = planned(tmp_path / "out", films(tmp_path, 1))
-    assert run_job(plan, job_of(plan), lambda *one: keep(analysis, one[2], frames={"read": 17})) == 0
+    assert run_job(plan, job_of(plan), lambda *one: keep(one[2], frames={"read": 17})) == 0
     write_page(plan, live=False)
     text = (plan.out / "index.html").read_text(encoding="utf-8")
     assert '<td class="n">17</td>' in text and '<td class="n">30</td>' not in text
 
 
-def test_a_crash_costs_its_film_and_no_other(tmp_path, analysis):
+def test_a_crash_costs_its_film_and_no_other(tmp_path):
     """A failure means that a decoder's segmentation fault, or one film's memory, ends the night."""
     plan = planned(tmp_path / "out", films(tmp_path, 5))
     parent = os.getpid()
@@ -65,7 +59,7 @@ def test_a_crash_costs_its_film_and_no_other(tmp_path, analysis):
             ctypes.string_at(0)
         if film.name == "t3":
             os.kill(os.getpid(), signal.SIGKILL)
-        return keep(analysis, target)
+        return keep(target)
 
     assert run_job(plan, job_of(plan), work) == 1
     assert states(plan) == {"t0": "done", "t1": "failed", "t2": "done", "t3": "failed", "t4": "done"}
@@ -74,7 +68,7 @@ def test_a_crash_costs_its_film_and_no_other(tmp_path, analysis):
     assert "signal 9 (Killed)" in reasons[1]
 
 
-def test_a_second_attempt_takes_only_what_is_not_done(tmp_path, analysis):
+def test_a_second_attempt_takes_only_what_is_not_done(tmp_path):
     """Snakemake repeats the job once: a passing fault is over then, and nothing is done twice."""
     plan, tried = planned(tmp_path / "out", films(tmp_path, 3)), tmp_path / "tried"
     tried.touch()
@@ -83,8 +77,8 @@ def test_a_second_attempt_takes_only_what_is_not_done(tmp_path, analysis):
         with tried.open("a") as file:
             file.write(f"{film.name}\n")
         if film.name == "t1" and tried.read_text().count("t1") == 1:
-            return None, "the file server is away"
-        return keep(analysis, target)
+            return "the file server is away"
+        return keep(target)
 
     assert run_job(plan, job_of(plan), work) == 1
     assert plan.state(plan.film("t1")).reason == "the file server is away"
@@ -113,11 +107,11 @@ LATE = {"not_measured": {"clock": "no slips", "motion": "unexpected KeyError: x"
         ({"failures": ["pictures and report"]}, "partial", "unexpected error: "),
     ],
 )
-def test_states_follow_what_run_json_says(tmp_path, analysis, facts, state, reason):
+def test_states_follow_what_run_json_says(tmp_path, facts, state, reason):
     """A failure means that a refused force recording is not seen, or costs a second pass over 100 GB, or that
     a run is judged in another way once it was corrected in a review."""
     plan = planned(tmp_path / "out", films(tmp_path, 1))
-    assert run_job(plan, job_of(plan), lambda *one: keep(analysis, one[2], **facts)) == 0
+    assert run_job(plan, job_of(plan), lambda *one: keep(one[2], **facts)) == 0
     first = plan.state(plan.film("t0"))
     assert (first.state, first.frames) == (state, 30)
     assert first.reason.startswith(reason) and bool(first.reason) == bool(reason)
@@ -130,11 +124,11 @@ def test_states_follow_what_run_json_says(tmp_path, analysis, facts, state, reas
     assert replace(later, run=first.run, at=first.at) == first
 
 
-def test_the_page_shows_mu_and_the_stiff_sheets(tmp_path, analysis):
+def test_the_page_shows_mu_and_the_stiff_sheets(tmp_path):
     """A failure means that the page of a campaign shows no result, or one without its errors."""
 
     def work(film, source, target):
-        kept = keep(analysis, target)
+        kept = keep(target)
         mu = {"value": 0.8896, "error": 0.00017, "systematic_error": 0.0065}
         (target / "models.json").write_text(json.dumps({"mu": mu}))
         (target / "shells.csv").write_text("event,side,stiff_sheets\n1,-1,6\n1,1,8\n2,-1,8\n2,1,\n")
@@ -148,7 +142,7 @@ def test_the_page_shows_mu_and_the_stiff_sheets(tmp_path, analysis):
         assert f">{shown}<" in page
 
 
-def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
+def test_staged_films_are_read_from_the_node_s_disk(tmp_path, monkeypatch):
     """A failure means that a node reads over the network after all, keeps the copy, or fills its disk."""
     disk = tmp_path / "scratch"
     disk.mkdir()
@@ -160,7 +154,7 @@ def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypa
     def work(film, source, target):
         assert source.read_bytes() == paths[0].read_bytes()
         seen.write_text(str(source))
-        return keep(analysis, target)
+        return keep(target)
 
     assert run_job(plan, job_of(plan), work) == 0
     assert disk in Path(seen.read_text()).parents
@@ -187,9 +181,10 @@ def small_disk(folder, size):
         pytest.skip("no right to mount a small file system")
 
 
-def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
+def test_a_full_disk_in_the_middle(tmp_path, monkeypatch):
     """One line for each film that found no room; what was finished before is kept and can be opened."""
     paths = films(tmp_path, 4)
+    run = vision.save_run(vision.analyse(paths[0], fps=20.0), tmp_path / "run", report=False)
     small_disk(tmp_path / "disk", "1500k")
     try:
         out = tmp_path / "disk" / "out"
@@ -198,11 +193,12 @@ def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
         def work(film, source, target):
             try:
                 with run_folder(target) as folder:
-                    (folder / "run.json").write_text('{"frames": {}}')
-                    (folder / "kymograph.tif").write_bytes(bytes(400_000))
+                    for name in ("run.json", "tracks.nc"):
+                        shutil.copy(run / name, folder)
+                    (folder / "kymograph.tif").write_bytes(bytes(600_000))
             except InputError as error:
-                return None, str(error)
-            return analysis, ""
+                return str(error)
+            return ""
 
         assert run_job(plan, job_of(plan), work) == 1
         close_states(plan)

@@ -31,34 +31,38 @@ from vision.campaign.results import (
 )
 from vision.errors import InputError
 from vision.run.provenance import Origin
-from vision.run.writing import tables_of
+from vision.run.reading import read_run
 from vision.sheets.corrections import correction_of
 
 # --- tables -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def analyses(tmp_path_factory):
+def runs(tmp_path_factory):
     """Of two films: one in µm, the other in px only."""
     paths = films(tmp_path_factory.mktemp("films"), 2)
-    return [
-        vision.analyse(path, settings=vision.pipeline.Settings(fps=20.0, pixel_size_um=size))
+    analyses = [
+        vision.analyse(path, fps=20.0, pixel_size_um=size)
         for path, size in zip(paths, (10.0, None), strict=True)
+    ]
+    return [
+        read_run(vision.save_run(one, path.with_suffix(""), report=False))
+        for one, path in zip(analyses, paths, strict=True)
     ]
 
 
-def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
+def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, runs):
     """A failure means that rows of one test stand under another's name, or that types differ."""
     names = ["old 1", "50% RH/é"]
-    for name, analysis in zip(names, analyses, strict=True):
-        write_partitions(tmp_path, name, analysis.tracks, analysis.pixel_size_um, tables_of(analysis))
+    for name, run in zip(names, runs, strict=True):
+        write_partitions(tmp_path, name, run)
     write_tests(tmp_path, {names[0]: {"sample": "a", "n": 1.0}, names[1]: {"sample": None, "n": np.nan}})
     positions = open_tables(tmp_path, "positions")
-    for name, analysis in zip(names, analyses, strict=True):
+    for name, run in zip(names, runs, strict=True):
         table = positions.to_table(filter=ds.field("film") == name).to_pandas()
         assert len(table) == 240
-        np.testing.assert_allclose(table["x_px"], analysis.tracks["x_px"].values.ravel(), atol=1e-4)
-        assert table["x_um"].notna().all() == (analysis.pixel_size_um is not None)
+        np.testing.assert_allclose(table["x_px"], run.tracks["x_px"].values.ravel(), atol=1e-4)
+        assert table["x_um"].notna().all() == (run.pixel_size_um is not None)
     tests = open_tables(tmp_path, "tests").to_table().to_pandas().set_index("film")
     assert tests.loc[names[0], "sample"] == "a"
     assert pd.isna(tests.loc[names[1], "sample"])
@@ -71,10 +75,10 @@ def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
         open_tables(tmp_path, "nothing")
 
 
-def test_other_programs_read_the_folder_as_one_table(tmp_path, analyses):
+def test_other_programs_read_the_folder_as_one_table(tmp_path, runs):
     """As pandas does, which knows nothing of campaigns."""
-    for name, analysis in zip("ab", analyses, strict=True):
-        write_partitions(tmp_path, name, analysis.tracks, analysis.pixel_size_um, tables_of(analysis))
+    for name, run in zip("ab", runs, strict=True):
+        write_partitions(tmp_path, name, run)
     table = pd.read_parquet(tmp_path / "tables" / "sheets")
     assert table["film"].astype(str).value_counts().to_dict() == {"a": 8, "b": 8}
 
@@ -120,7 +124,7 @@ def test_a_run_that_was_corrected_renews_tables_state_and_pool(tmp_path):
     def work(film, source, target):
         analysis = vision.analyse(path, fps=20.0, pixel_size_um=10.0)
         vision.save_run(analysis, target, report=False)
-        return analysis, ""
+        return ""
 
     assert run_job(plan, *plan.jobs, work) == 0
     pool(plan, Origin(command="track campaign"))

@@ -24,12 +24,10 @@ from typing import Literal
 
 from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, inputs_of, write_plan, write_state
-from vision.campaign.results import page_age, state_of_run, write_page, write_partitions, write_thumbnail
+from vision.campaign.results import page_age, write_film, write_page
 from vision.errors import InputError, install_advice
 from vision.files import answered, c_library, prefetch, shortened
-from vision.pipeline import Analysis
-from vision.run.reading import is_run, read_run
-from vision.run.writing import tables_of
+from vision.run.reading import is_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -167,9 +165,9 @@ def _last_line(log: Path) -> str:
 # --- one job ------------------------------------------------------------------------------------------------
 
 
-Work = Callable[[PlannedFilm, Path, Path], tuple[Analysis | None, str]]
+Work = Callable[[PlannedFilm, Path, Path], str]
 """Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write.
-Returns: the results, or None and why there are none in one line."""
+Returns: why there is no run, in one line; "" if there is one."""
 
 
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
@@ -262,13 +260,10 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
     """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
     with _source(film, copies, stage=plan.stage) as source:
-        analysis, why = work(film, source, target)
-    if analysis is None or not is_run(target):
+        why = work(film, source, target)
+    if why or not is_run(target):
         return State(name=film.name, state="failed", reason=why)
-    tables = tables_of(analysis)
-    write_partitions(plan.out, film.name, analysis.tracks, analysis.pixel_size_um, tables)
-    write_thumbnail(plan, film.name)
-    return state_of_run(read_run(target), film.name)
+    return write_film(plan, film.name)
 
 
 @contextmanager

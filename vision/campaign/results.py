@@ -19,7 +19,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
-import xarray as xr
 from jinja2 import Environment, StrictUndefined
 from PIL import Image
 
@@ -133,7 +132,7 @@ def _data_uri(path: Path) -> str:
         return ""
 
 
-def write_thumbnail(plan: Plan, film: str) -> None:
+def _write_thumbnail(plan: Plan, film: str) -> None:
     """Write the picture of a film for the page; none if its overview cannot be read."""
     with suppress(OSError, ValueError), Image.open(plan.run_of(film) / "overview.png") as image:
         image.thumbnail((SETTINGS.thumbnail_px, 4 * SETTINGS.thumbnail_px))
@@ -201,18 +200,13 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
         )
 
 
-def write_partitions(
-    out: Path,
-    film: str,
-    tracks: xr.Dataset | None,
-    pixel_size_um: float | None,
-    tables: Mapping[str, pd.DataFrame],
-) -> None:
+def write_partitions(out: Path, film: str, run: RunFolder) -> None:
     """Write a film's part of each table; remove the parts of an earlier run that it no longer has.
 
-    tables: those of `tables_of`.  Raises: InputError.
+    Raises: InputError, also for a damaged run.
     """
-    columns = () if tracks is None else columns_in_parts(tracks, pixel_size_um)
+    columns = columns_in_parts(run.tracks, run.pixel_size_um) if run.of_video else ()
+    tables = run.tables
     _write(_partition(out, "positions", film), map(pd.DataFrame, columns))
     for part, name in {"sheets": "sheets", "sticks": "events", "deformation": "deformation"}.items():
         _write(_partition(out, part, film), [tables[name]] if name in tables else ())
@@ -289,20 +283,28 @@ def _renew_if_corrected(plan: Plan, film: PlannedFilm) -> str:
     if state is None or state.run in ("", now):
         return ""
     try:
-        run = read_run(plan.run_of(film.name))
-        tracks = run.tracks if run.of_video else None
-        write_partitions(plan.out, film.name, tracks, run.pixel_size_um, run.tables)
-        corrected = state_of_run(run, film.name)
+        corrected = write_film(plan, film.name)
     except InputError as error:
         return f"{film.name}: its tables are those before it was corrected: {error}"
-    write_thumbnail(plan, film.name)
     kept = {name: getattr(state, name) for name in ("key", "seconds", "attempts")}
     write_state(plan.out, replace(corrected, **kept, run=now))
     return ""
 
 
-def state_of_run(run: RunFolder, name: str) -> State:
-    """Return the state of a film whose run is written, fresh or corrected.  Raises: InputError if damaged."""
+def write_film(plan: Plan, name: str) -> State:
+    """Write the tables and the picture of a finished run, fresh or corrected, and return its state.
+
+    Raises: InputError for a damaged run.
+    """
+    run = read_run(plan.run_of(name))
+    write_partitions(plan.out, name, run)
+    state = _state_of_run(run, name)
+    _write_thumbnail(plan, name)
+    return state
+
+
+def _state_of_run(run: RunFolder, name: str) -> State:
+    """Return the state of a film whose run is written.  Raises: InputError if it is damaged."""
     warnings = tuple(map(str, run.facts.get("warnings") or ()))
     reasons, failures = run.facts.get("not_measured") or {}, run.facts.get("failures") or ()
     # what the input does not permit first, then unexpected errors, for which it is not to blame

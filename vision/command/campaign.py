@@ -43,7 +43,7 @@ from vision.command.track import origin_of, run_name, track_one
 from vision.errors import InputError, counted, with_options
 from vision.files import answered, usable_cores
 from vision.folder import claim
-from vision.pipeline import Analysis, check_recordings, open_force, open_recording
+from vision.pipeline import check_recordings, open_force, open_recording
 from vision.run.provenance import Parameter
 from vision.summary import aligned
 
@@ -353,8 +353,11 @@ def _watch(
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> tuple[Analysis | None, str]:
-    """Track one film of a job as `track` does; `source` is the film or a copy of it."""
+def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> str:
+    """Track one film of a job as `track` does; return why there is no run, or "".
+
+    `source` is the film or a copy of it.
+    """
     parameters = _parameters_of(plan, film)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
@@ -369,5 +372,5 @@ def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> tu
     again = local and source == video and plan.state(film).attempts > 1 and not parameters["strips"].value
     done, status, why = attempt(partial(analyse, resume=again))
     if again and status == 2 and done is None:  # the frames kept were read with other settings
-        done, _, why = attempt(partial(analyse, resume=False))
-    return done[1] if done else None, with_options(why, option_names())
+        _, _, why = attempt(partial(analyse, resume=False))
+    return with_options(why, option_names())

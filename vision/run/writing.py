@@ -242,7 +242,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def tables_of(analysis: Analysis) -> dict[str, pd.DataFrame]:
+def _tables_of(analysis: Analysis) -> dict[str, pd.DataFrame]:
     """Return the tables that an analysis has, but that of all positions, by their names in a run folder."""
     tracks, motion = analysis.tracks, analysis.motion
     how: dict[str, Any] = {"threshold": analysis.threshold, "settings": analysis.settings.tuning.shells}
@@ -258,7 +258,7 @@ def tables_of(analysis: Analysis) -> dict[str, pd.DataFrame]:
 def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.tracks is not None:
         write_tracks_nc(analysis.tracks, folder / "tracks.nc", pixel_size_um=analysis.pixel_size_um)
-    for name, table in tables_of(analysis).items():
+    for name, table in _tables_of(analysis).items():
         write_csv(table, folder / f"{name}.csv", digits=None if name == "sheets" else 9)
     if analysis.fits is not None:
         write_json(origin.worded(analysis.fits.to_json()), folder / "models.json")
