@@ -17,7 +17,7 @@ from vision.errors import InputError
 from vision.folder import write_json
 from vision.run import export
 from vision.run.export import (
-    ENDINGS,
+    FILES,
     Format,
     export_run,
 )
@@ -316,7 +316,7 @@ def test_an_export_never_touches_what_is_there(run, to, tmp_path):
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
 
 
-@pytest.mark.parametrize("to", ENDINGS)
+@pytest.mark.parametrize("to", FILES)
 def test_a_failed_export_leaves_nothing(run, to, tmp_path, monkeypatch):
     """A failure means half a file that looks whole, or a traceback when the disk is full."""
     full = OSError(28, "No space left on device")
@@ -324,7 +324,7 @@ def test_a_failed_export_leaves_nothing(run, to, tmp_path, monkeypatch):
     def write(*_, **__):
         raise full
 
-    monkeypatch.setattr("vision.run.export._write_file", write)
+    monkeypatch.setitem(FILES, to, (FILES[to][0], write))
     with pytest.raises(InputError, match="a full disk"):
         export_run(run, to)
     assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]

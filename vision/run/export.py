@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -28,13 +28,6 @@ from vision.video import Video, open_video
 from vision.video.reader import OVERLAY_COMMENT
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari", "imagej"]
-ENDINGS = {
-    "xlsx": ".xlsx",
-    "mat": ".mat",
-    "trackpy": "_trackpy.csv",
-    "napari": "_napari.csv",
-    "imagej": "_rois.zip",
-}
 MARK = "export"  # key in run.json that distinguishes exported tables from a run
 
 EXCEL_ROWS = (1 << 20) - 1  # that a worksheet holds below the header
@@ -57,7 +50,8 @@ def export_run(
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
     cannot be written; or for a run without the data that are exported.
     """
-    target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
+    ending, write = FILES.get(to, (f"_{to}", None))
+    target = out or Path(f"{run.folder.resolve().name}{ending}")
     if to == "xlsx" and target.suffix.lower() != ".xlsx" and not target.is_dir():  # or no program opens it
         target = target.with_name(f"{target.name}.xlsx")
     check_outside(target, run.folder)
@@ -67,14 +61,14 @@ def export_run(
         turned = StripMetadata.of(run.tracks).rotate if to in ("trackpy", "napari") else 0
         if turned:
             notes.append(f"x and y are those of the frames turned clockwise by {turned} degrees (`rotate`)")
-        if to not in ENDINGS:
+        if write is None:
             _write_folder(run, to, target, overwrite=overwrite)
             return target, notes
         if target.is_dir():
             raise InputError(target, "a file to write", "a folder", "give another `out`")
         check_new(target, overwrite=overwrite)
         with whole_file(target) as path:
-            return target, [*_write_file(run, to, path), *notes]
+            return target, [*(write(run, path) or ()), *notes]
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
@@ -89,20 +83,6 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
             else:
                 table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
         write_json(facts, folder / "run.json")
-
-
-def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
-    """Write the table or tables of a format to one file; return notes on what was left out."""
-    if to == "xlsx":
-        return write_xlsx(all_tables(run), path)
-    if to == "mat":
-        write_mat(run, path)
-    elif to == "imagej":
-        write_rois(run, path)
-    else:
-        table = trackpy_table(run) if to == "trackpy" else napari_table(run)
-        write_csv(table, path, digits=None)
-    return []
 
 
 def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
@@ -312,6 +292,17 @@ def _struct(table: pd.DataFrame) -> dict[str, Any]:
         )
         for name, column in table.items()
     }
+
+
+FILES: dict[str, tuple[str, Callable[[RunFolder, Path], list[str] | None]]] = {
+    "xlsx": (".xlsx", lambda run, path: write_xlsx(all_tables(run), path)),
+    "mat": (".mat", write_mat),
+    "trackpy": ("_trackpy.csv", lambda run, path: write_csv(trackpy_table(run), path, digits=None)),
+    "napari": ("_napari.csv", lambda run, path: write_csv(napari_table(run), path, digits=None)),
+    "imagej": ("_rois.zip", write_rois),
+}
+"""Formats of a single file: the end of its name, and a function that writes it and may return notes on what
+was left out. The other formats are folders of tables."""
 
 
 # --- the film with its tracks -------------------------------------------------------------------------------
