@@ -165,12 +165,12 @@ def unexpected(error: BaseException) -> str:
 
 def counted(count: int, noun: str) -> str:
     """Return "1 film" or "2 films"."""
-    return f"{count} {noun}{'s' * (count != 1)}"
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def first_of(items: Sequence[object], most: int) -> str:
     """Return up to this many items with commas, and an ellipsis if there are more."""
-    return ", ".join(map(str, items[:most])) + " …" * (len(items) > most)
+    return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:

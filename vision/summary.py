@@ -195,11 +195,14 @@ def _of_tracks(
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     side, flags = tracks["side"].values, FlagCounts(tracks)
-    unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
-    unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
+    remarks = [f"other ridges ignored: {found.ridges_dropped}"]
+    if found.sheets_alike == "yes":
+        remarks.append("they look alike: a jump by their spacing would be invisible")
+    if found.ridges_likelier:
+        remarks.append(f"the {found.ridges_likelier} stripes look more like sheets")
     sides = ", ".join(f"{(side == which).sum()} {name}" for which, name in SIDES.items())
     ridges = f"{counted(found.sheets, f'{found.ridges} ridge')} ({sides})"
-    yield Answer("sheets", ridges, f"other ridges ignored: {found.ridges_dropped}{unseen}")
+    yield Answer("sheets", ridges, "; ".join(remarks))
     bad = bad_frames(strip, flags.frozen_frames)
     read = f"{strip.frames_read} of {strip.frames_expected} read"
     yield Answer("frames", read, bad or "none lost, blank, corrupt or frozen", doubt=bool(bad))
@@ -226,8 +229,8 @@ def _of_tracks(
 
 def bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
     """Return the numbers of lost, blank and frozen frames, "" if there are none."""
-    corrupt = f", {strip.frames_corrupt} of them corrupt" * bool(strip.frames_corrupt)
-    counts = {f"lost{corrupt}": strip.frames_lost, "blank": strip.frames_blank, "frozen": frozen}
+    lost = f"lost, {strip.frames_corrupt} of them corrupt" if strip.frames_corrupt else "lost"
+    counts = {lost: strip.frames_lost, "blank": strip.frames_blank, "frozen": frozen}
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
@@ -243,8 +246,8 @@ def _noise(tracks: xr.Dataset, pixel_size_um: float | None) -> Answer:
         f"{codec} hides the noise of pixels" if hidden else f"{predicted:.4f} px predicted from the pixels",
         f"x_err_px {noise['stated_px']:.4f} px",
     ]
-    locking_px = TrackMetadata.of(tracks).locking_px
-    parts.append(f"locking to pixels of {locking_px:.3f} px rms subtracted" * (locking_px > 0))
+    if (locking_px := TrackMetadata.of(tracks).locking_px) > 0:
+        parts.append(f"locking to pixels of {locking_px:.3f} px rms subtracted")
     return Answer(
         "noise",
         value if measured > 0 else "not measured (too few frames that differ)",
@@ -268,17 +271,15 @@ def heights_line(tracks: xr.Dataset) -> str:
 
 def ridges_line(found: TrackMetadata) -> str:
     """Return width and spacing of the ridges, and the fit."""
-    size = f"{found.ridge_fwhm_px:.1f} px wide" + f", {found.spacing_px:.1f} px apart" * math.isfinite(
-        found.spacing_px
-    )
-    return f"{size}; {found.fit} fit over {found.window_px} px"
+    apart = f", {found.spacing_px:.1f} px apart" if math.isfinite(found.spacing_px) else ""
+    return f"{found.ridge_fwhm_px:.1f} px wide{apart}; {found.fit} fit over {found.window_px} px"
 
 
 def axis_source(found: TrackMetadata) -> str:
     """Return how the axis is known: given, decided by the motion, or the middle of the ridges."""
     if found.axis_how == "geometry" and found.axis_missing:
-        seem = f"{found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
-        return f"{AXIS_HOW['geometry']} and {seem}"
+        seem = "seems" if found.axis_missing == 1 else "seem"
+        return f"{AXIS_HOW['geometry']} and {found.axis_missing} that {seem} to be missing"
     if found.axis_how == "motion" and found.axis_open == "yes":
         return "not decided by the motion"
     return AXIS_HOW[found.axis_how]
@@ -288,15 +289,17 @@ def _axis(found: TrackMetadata, innermost: int, *, one_side: bool) -> str:
     """Return how the axis is known, and the range that the motion allows, which contains it."""
     how = axis_source(found)
     if found.axis_how == "given":
-        unseen = f"; n begins at {innermost}, as {innermost - 1} more sheets fit between it and those in view"
-        return how + unseen * (innermost > 1)
+        if innermost == 1:
+            return how
+        more = f"{innermost - 1} more sheets fit between it and those in view"
+        return f"{how}; n begins at {innermost}, as {more}"
     if not math.isfinite(found.axis_low_px):
         return f"{how}; the motion does not show the axis"
     if found.axis_high_px == found.axis_low_px:
         return f"{how}; the motion allows no other gap between sheets"
     low, high = min(found.axis_low_px, found.axis_px), max(found.axis_high_px, found.axis_px)
     if found.axis_how == "motion" and how != AXIS_HOW["motion"]:
-        beyond = "half a spacing beyond the innermost sheet in view; " * one_side
+        beyond = "half a spacing beyond the innermost sheet in view; " if one_side else ""
         return f"{beyond}{how}, which allows {low:.1f} to {high:.1f} px"
     return f"{how}; the motion allows {low:.1f} to {high:.1f} px"
 
@@ -330,7 +333,7 @@ def frame_rate_text(strip: StripMetadata) -> str:
     if strip.clock_file:
         rate = f", about {strip.fps:.4g} frames/s" if math.isfinite(strip.fps) else ""
         return f"from the time stamps in {strip.clock_file}{rate}"
-    confirm = ": confirm it or give the camera's with `fps`" * (strip.clock_kind == "playback")
+    confirm = ": confirm it or give the camera's with `fps`" if strip.clock_kind == "playback" else ""
     return f"{strip.fps:g} frames/s ({RATE_SOURCES[strip.clock_kind]}){confirm}"
 
 
@@ -353,7 +356,7 @@ def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMe
 
 def positions_line(flags: FlagCounts) -> Answer:
     """Return how many positions were measured, and how many have which flag of the others."""
-    blurred = f" ({flags['blurred']} of them blurred)" * bool(flags["blurred"])
+    blurred = f" ({flags['blurred']} of them blurred)" if flags["blurred"] else ""
     others = ", ".join(f"{count} {name}" for name, count in flags.items() if name not in MEASURED)
     value = f"{flags.measured} of {flags.total()} measured{blurred}"
     return Answer("positions", value, others, doubt=flags.measured < 0.99 * flags.total())
@@ -440,10 +443,14 @@ def _sticks(results: Results, sticks: pd.DataFrame) -> Answer:
     detail = f"of {len(sticks)} in the force recording, {good} of them without a flag"
     motion, clock = results.motion, results.clock
     if motion is None:
-        why = " (no common clock)" if clock is None else " (clocks ambiguous)" * (clock.status == "ambiguous")
+        why = ""
+        if clock is None:
+            why = " (no common clock)"
+        elif clock.status == "ambiguous":
+            why = " (clocks ambiguous)"
         return Answer("sticks", f"not known in the video{why}", detail, doubt=True)
     inside, short = motion.sizes["event"], int((motion["flag"] == "few").all("sheet").sum())
-    too_short = f", {short} of them too short for σ_x/Λ_st" * bool(short)
+    too_short = f", {short} of them too short for σ_x/Λ_st" if short else ""
     return Answer("sticks", f"{inside} in the video{too_short}", detail, doubt=inside == 0)
 
 

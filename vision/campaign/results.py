@@ -311,9 +311,13 @@ def _state_of_run(run: RunFolder, name: str) -> State:
     refused = sorted(Results(clock=run.clock, reasons=reasons).refused(), key=failures.__contains__)
     why = [reasons[stage] for stage in refused]
     why += [reasons.get(stage, f"unexpected error: {run.folder / FAILURES}") for stage in failures]
-    word: Word = "partial" if why else "warnings" if warnings else "done"
-    more = f" (and {len(warnings) - 1} more)" * (len(warnings) > 1)
-    reason = why[0] if why else "".join(shortened(line, 300) for line in warnings[:1]) + more
+    word: Word = "done"
+    reason = ""
+    if why:
+        word, reason = "partial", why[0]
+    elif warnings:
+        more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
+        word, reason = "warnings", shortened(warnings[0], 300) + more
     frames = int((run.facts.get("frames") or {}).get("read") or 0)
     shells = run.table("shells", ["stiff_sheets"])
     stiff = "" if shells is None else _stiff_sheets(shells)
@@ -327,7 +331,7 @@ def _stiff_sheets(shells: pd.DataFrame) -> str:
     if not len(size):
         return ""
     least, most = int(size.min()), int(size.max())
-    return f"{size.median():.0f}" + f" ({least} to {most})" * (least < most)
+    return f"{size.median():.0f}" + (f" ({least} to {most})" if least < most else "")
 
 
 def _mu_of(run: RunFolder) -> str:

@@ -24,7 +24,7 @@ from vision.certify.encoder import Encoder
 from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median, weighted_median
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
@@ -373,10 +373,9 @@ def find_jumps(x_px: Floats, settings: CertifySettings) -> Ints:
     with np.errstate(invalid="ignore"):
         noise = nan_median(np.abs(step - nan_median(step)))
     size = np.nan_to_num(nan_median(np.abs(step) / np.maximum(noise, 1e-6), axis=1))
-    limit = np.median(size) + settings.step_errors * max(
-        float(mad_sigma(size)), 0.05 * float(np.median(size))
-    )
-    return np.flatnonzero(size > limit) + 1
+    usual = float(np.median(size))
+    spread = max(float(mad_sigma(size)), 0.05 * usual)
+    return np.flatnonzero(size > usual + settings.step_errors * spread) + 1
 
 
 def smooth_motion(
@@ -470,8 +469,7 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
         if error < settings.own_time_error and known.any():
             ratios, weights = step[k, known] / typical[known], typical[known] ** 2
             # A median, so that a sheet that slips by itself does not count.
-            ratio = np.quantile(ratios, 0.5, weights=weights, method="inverted_cdf")
-            taken[k] = np.clip(np.rint(ratio), 0, 2 * settings.least_piece)
+            taken[k] = np.clip(np.rint(weighted_median(ratios, weights)), 0, 2 * settings.least_piece)
     total = np.concatenate([[0.0], np.cumsum(taken)])
     return np.asarray(np.interp(np.arange(frames), new, total), float)
 

@@ -83,13 +83,17 @@ def certificate_figure(certificate: Certificate) -> Figure:
 
 def statements(certificate: Certificate) -> list[Answer]:
     """Return what can be resolved."""
-    c, worst = certificate, certificate.sheets["error_px"]
+    c, errors_px = certificate, certificate.sheets["error_px"]
+    sweep = Answer("Smallest sweep", "not known", "as no two slips are far enough apart")
+    if math.isfinite(c.smallest_sweep_px):
+        within = f"in a stick phase of {c.stick_frames:.0f} frames, {c.errors_resolved:g}"
+        sweep = Answer(sweep.what, _length(c.smallest_sweep_px, c), f"{within} standard errors from zero")
     answers = [
         Answer(
             "Random error of a position",
             f"{'about ' if c.uncertain else ''}{_length(c.error_px, c)}",
-            f"RMS over all sheets; that of the best is {_length(float(worst.min()), c)}, that of the worst "
-            f"{_length(float(worst.max()), c)}",
+            f"RMS over all sheets; that of the best is {_length(float(errors_px.min()), c)}, that of the "
+            f"worst {_length(float(errors_px.max()), c)}",
             doubt=c.uncertain,
         ),
         Answer(
@@ -97,14 +101,7 @@ def statements(certificate: Certificate) -> list[Answer]:
             f"{100 * c.within_error:.0f} %",
             "of the errors are within the stated error (68 % if normal)",
         ),
-        Answer(
-            "Smallest sweep",
-            _length(c.smallest_sweep_px, c),
-            f"in a stick phase of {c.stick_frames:.0f} frames, {c.errors_resolved:g} standard errors from "
-            "zero",
-        )
-        if math.isfinite(c.smallest_sweep_px)
-        else Answer("Smallest sweep", "not known", "as no two slips are far enough apart"),
+        sweep,
         Answer("Pixel locking", _length(c.locking_px, c), "peak to peak, without noise"),
         Answer(
             "Identities",

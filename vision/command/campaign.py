@@ -221,7 +221,9 @@ def _dry_run(plan: Plan, cores: int) -> int:
         f"{cores} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )
     say([line])
-    return 0 if running == len(waiting) else 1 if running else 2
+    if running == len(waiting):
+        return 0
+    return 1 if running else 2
 
 
 def _refused(plan: Plan, film: PlannedFilm) -> str:
@@ -286,7 +288,9 @@ def _carry_out(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     if not options.quiet:
         say(_summary(plan, states, time.perf_counter() - started))
     found = {state.state for state in states}
-    return 2 if unwritten or found == {"failed"} else 0 if pooled and found <= {"done"} else 1
+    if unwritten or found == {"failed"}:
+        return 2
+    return 0 if pooled and found <= {"done"} else 1
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
@@ -314,7 +318,8 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     """Return the numbers of tests in each state, and the first twenty tests with warnings."""
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
-    by_state = ", ".join(f"{n} {'with ' * (name == 'warnings')}{name}" for name, n in sorted(counts.items()))
+    named = {name: "with warnings" if name == "warnings" else name for name in sorted(counts)}
+    by_state = ", ".join(f"{counts[name]} {text}" for name, text in named.items())
     lines = [f"{counted(len(states), 'test')}: {by_state}; {ran} of them run now in {duration(seconds)}"]
     warned = [state for state in states if state.state == "warnings"]
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]

@@ -311,7 +311,8 @@ def export(
     target, notes = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
     for note in notes:
         complain(note)
-    return conclude([f"{to} -> {target}{'/' * target.is_dir()}"], (), quiet=output.quiet)
+    place = f"{target}/" if target.is_dir() else f"{target}"
+    return conclude([f"{to} -> {place}"], (), quiet=output.quiet)
 
 
 def figures(
@@ -395,8 +396,8 @@ def overlay(
         count, (rows, columns), fps = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{count} frames of {columns} x {rows} px"
     recorded = StripMetadata.of(made.tracks).fps
-    speed = f"{fps:g} frames/s" + f" (recorded at {recorded:.4g})" * bool(recorded != fps)
-    line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    slowed = f" (recorded at {recorded:.4g})" if recorded != fps else ""
+    line = f"{size}, played at {fps:g} frames/s{slowed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
 
 

@@ -192,13 +192,13 @@ def _loading_mm(stiffness_N_per_mm: float, m: Mechanics, sample: Sample) -> floa
 
 def _mean_slope(m: Mechanics) -> float:
     """Return the mean slope of a stick phase relative to K, the slope of its later (or only) part."""
-    return 1 + m.early_fraction * (m.early_stiffness_ratio - 1) if m.early_stiffness_ratio > 1 else 1.0
+    return 1 + m.early_fraction * (m.early_stiffness_ratio - 1)
 
 
 def _stick_shape(u: Floats, m: Mechanics) -> Floats:
     """Return the fraction of the force rise at the fraction u of a stick phase: softening, or two slopes."""
     if m.early_stiffness_ratio > 1:
-        later = 1 / (1 + m.early_fraction * (m.early_stiffness_ratio - 1))
+        later = 1 / _mean_slope(m)
         return later * (u + (m.early_stiffness_ratio - 1) * np.minimum(u, m.early_fraction))
     return u + m.softening * u * (1 - u) / 2
 
@@ -351,9 +351,8 @@ def _deformation_ratio(rank_share: Floats, stiff_share: Floats, sheets: Sheets) 
     """Return σ_x/Λ_st (event, sheet) for given rank/M of the sheets and M_eff/M of the events."""
     if sheets.outer_ratio <= sheets.stiff_ratio:
         return np.broadcast_to(sheets.outer_ratio * rank_share, (len(stiff_share), len(rank_share))).copy()
-    power = (
-        np.log(sheets.stiff_ratio / sheets.outer_ratio) / np.log(np.clip(stiff_share, 0.02, 0.98))[:, None]
-    )
+    at_stiff = np.clip(stiff_share, 0.02, 0.98)[:, None]
+    power = np.log(sheets.stiff_ratio / sheets.outer_ratio) / np.log(at_stiff)
     return np.asarray(sheets.outer_ratio * rank_share**power)
 
 

@@ -24,6 +24,7 @@ from vision.errors import (
     check_within,
 )
 from vision.files import read_toml
+from vision.folder import flattened
 from vision.numeric import number
 from vision.sample import PUBLISHED, Sample
 
@@ -252,7 +253,9 @@ def _read(value: Any) -> Any:
     if type(value) not in (str, float):
         return value
     read = number(value)
-    return value if math.isnan(read) else int(read) if read.is_integer() else read
+    if math.isnan(read):
+        return value
+    return int(read) if read.is_integer() else read
 
 
 def setting_names() -> str:
@@ -268,10 +271,7 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     Raises: InputError if it cannot be read or is not TOML.
     """
     content = read_toml(path, "a TOML file of settings", "write lines like: fps = 60 under [camera]")
-    flat: dict[str, Any] = {}
-    for name, value in content.items():
-        flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    return flat
+    return dict(flattened(content, "."))
 
 
 def _known(name: str, experiment: Experiment) -> tuple[str, str]:

@@ -331,9 +331,13 @@ def write_force(path: Path, recording: pd.DataFrame, style: ForceFile) -> None:
     separator, order = ";" if comma else ",", ["time_s", "crosshead_mm", "load_N"]
     head: list[Sequence[str]] = [["time (s)", "displacement (mm)", f"force ({unit})"]]
     if style.layout == "mts":
-        separator, order = "\t", ["crosshead_mm", "load_N", "time_s"] + ["video_time_s"] * style.video_time
-        names = ["Crosshead ", "Load ", "Time ", *["Video Time "] * style.video_time, ""]
-        head = [*([line] for line in _MTS_HEAD), names, ["mm", unit, "sec", *["sec"] * style.video_time]]
+        separator, order = "\t", ["crosshead_mm", "load_N", "time_s"]
+        names, units = ["Crosshead ", "Load ", "Time "], ["mm", unit, "sec"]
+        if style.video_time:
+            order.append("video_time_s")
+            names.append("Video Time ")
+            units.append("sec")
+        head = [*([line] for line in _MTS_HEAD), [*names, ""], units]
     elif style.layout == "instron":
         names = ["Time", "Displacement", "Force"] if comma else ["Time", "Extension", "Load"]
         head, quote = [names, ["(s)", "(mm)", f"({unit})"]], "" if comma else '"'

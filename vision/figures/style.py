@@ -134,7 +134,8 @@ def offset_text(clock: Clock) -> str:
     if not clock.offset_err_s > 0:
         return with_minus(f"{clock.offset_s:.4f} s")
     at, offsets, error_s = clock.offsets_at_slips()
-    return f"{plus_minus(Estimate(float(offsets[0]), error_s))} s" + f" at video time {at} s" * (at != 0)
+    when = f" at video time {at} s" if at else ""
+    return f"{plus_minus(Estimate(float(offsets[0]), error_s))} s{when}"
 
 
 def drift_text(clock: Clock) -> str:

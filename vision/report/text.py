@@ -86,14 +86,15 @@ def methods(results: Results) -> list[str]:
 
 def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um: float | None) -> str:
     strip = StripMetadata.of(profile)
-    rate = f"{strip.fps:.6g} frames per second ({RATE_SOURCES[strip.clock_kind]})"
-    if strip.clock_file:
+    if not math.isfinite(strip.fps):
+        rate = "a frame rate that is not known"
+    elif strip.clock_file:
         rate = f"about {strip.fps:.4g} frames per second (with a time stamp each)"
-    rate = rate if math.isfinite(strip.fps) else "a frame rate that is not known"
-    scale = (
-        "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)} per pixel"
-    )
-    unknown = " The pixel size is not known." if pixel_size_um is None else ""
+    else:
+        rate = f"{strip.fps:.6g} frames per second ({RATE_SOURCES[strip.clock_kind]})"
+    scale, unknown = "", " The pixel size is not known."
+    if pixel_size_um is not None:
+        scale, unknown = f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)} per pixel", ""
     chosen = {"given": "as given", "all rows": "the whole frame"}.get(strip.strip_how, "found automatically")
     tilt = (
         f" The ridges are tilted by {abs(strip.tilt_deg):.2f}°; the mean over the rows does not correct this."
@@ -217,8 +218,9 @@ def _alignment(clock: Clock) -> str:
 
 def _deformation(motion: xr.Dataset, threshold: float) -> str:
     facts = MotionMetadata.of(motion)
-    excluded = f", without frames within {1000 * facts.margin_s:.0f} ms of a slip"
-    excluded *= math.isfinite(facts.margin_s)
+    excluded = ""
+    if math.isfinite(facts.margin_s):
+        excluded = f", without frames within {1000 * facts.margin_s:.0f} ms of a slip"
     return (
         f"For each of {motion.sizes['event']} stick phases in the video{excluded}, the displacement of a "
         "sheet is δx = x − x̂, where x̂ is its mean position in the stick phase. σ_x is the root mean square "
@@ -229,13 +231,14 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 
 def _models(fits: ModelFits) -> str:
     sample, (first, last), used = fits.sample, fits.d_mm, fits.goodness["peaks"].points
-    results = ", ".join(
-        f"{symbol}{' ' if name in fits.undetermined else ' = '}{fits.text(name, unit)}"
-        for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa")
-        for symbol, unit in [QUANTITIES[name]]
-    )
-    without = "; the latter without the error of d0, which is not known"
-    lacking = "" if "d0_mm" in fits.input_errors else without
+    results = []
+    for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa"):
+        symbol, unit = QUANTITIES[name]
+        equals = "" if name in fits.undetermined else "= "
+        results.append(f"{symbol} {equals}{fits.text(name, unit)}")
+    lacking = "; the latter without the error of d0, which is not known"
+    if "d0_mm" in fits.input_errors:
+        lacking = ""
     fitted = " (fitted)" if math.isfinite(fits.t_star_N.error) else ""
     given = [symbol for name, symbol in (("mu", "μ"), ("modulus_GPa", "Y_eff")) if name in fits.held]
     known = f" {' and '.join(given)} {'were' if len(given) > 1 else 'was'} given." if given else ""
@@ -246,6 +249,6 @@ def _models(fits: ModelFits) -> str:
         f"{sample.sheets_per_block} sheets of each block on either side of the axis, "
         f"{sample.thickness_mm:g} mm thick and {sample.width_mm:g} mm wide, "
         f"{sample.length_mm:g} mm from clamp to end, and "
-        f"T* = {1000 * fits.t_star_N.value:.3g} mN{fitted}: {results} "
+        f"T* = {1000 * fits.t_star_N.value:.3g} mN{fitted}: {', '.join(results)} "
         f"(statistical and systematic errors{lacking}).{known}"
     )
