@@ -340,8 +340,8 @@ def figures(
 
         track figures comparison collapse trends
     """
-    folder = read_run(run).folder
-    made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
+    finished = read_run(run)
+    made = {figure.name: figure for figure in load_figures(run / "figures.npz")}
     if unknown := [name for name in names if name not in made]:
         advice = did_you_mean(unknown[0], made) or "--list prints their titles"
         raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown), advice)
@@ -352,8 +352,8 @@ def figures(
         if "width_px" in width:
             raise InputError("--width", "a width on paper", f"'{paper.width}'", "write 86mm")
         made = {name: one.of_width(width["width_um"] / 1000, paper.font_size) for name, one in made.items()}
-    target = output.out or Path(f"{folder.resolve().name}_figures")
-    check_outside(target, folder)
+    target = output.out or Path(f"{finished.name}_figures")
+    check_outside(target, run)
     images = [name for name in names or made if to == "csv" and made[name].table().empty]
     files = [target / f"{name}.{to}" for name in names or made if name not in images]
     for file in files:
@@ -387,7 +387,7 @@ def overlay(
     """
     part = parse_range(frames, "--frames")
     made = read_run(run)
-    target = output.out or Path(f"{made.folder.resolve().name}{OVERLAY}.mp4")
+    target = output.out or Path(f"{made.name}{OVERLAY}.mp4")
     if target.suffix.lower() != ".mp4":
         raise InputError("`out`", "a name that ends in .mp4", f"'{target}'")
     check_new(target, overwrite=output.overwrite)
@@ -431,8 +431,8 @@ def certify(
     at_least(films, "--films", 1)
     at_least(most_frames, "--most-frames", 30)
     finished = read_run(run)
-    target = output.out or Path(f"{finished.folder.resolve().name}_certificate")
-    check_outside(target, finished.folder)
+    target = output.out or Path(f"{finished.name}_certificate")
+    check_outside(target, run)
     if (target / "certificate.json").exists():
         check_new(target, overwrite=output.overwrite, kind="folder")
     if target.exists() and not target.is_dir():

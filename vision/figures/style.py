@@ -49,8 +49,10 @@ def sheet_inks(tracks: xr.Dataset) -> list[Ink]:
     side, n = tracks["side"].values, tracks["n"].values
     most = int(n.max(initial=1))
     outward = (n - 1) / (most - 1) if most > 1 else np.full(n.shape, 2 / 3)
-    tones = {s: [_along(tone, outward) for tone in (_BLUES if s < 0 else _ORANGES)] for s in (-1, 1)}
-    return [(tones[s][0][k], tones[s][1][k]) for k, s in enumerate(np.where(side < 0, -1, 1).tolist())]
+    blues, oranges = (
+        zip(_along(light, outward), _along(dark, outward), strict=True) for light, dark in (_BLUES, _ORANGES)
+    )
+    return [blue if s < 0 else orange for s, blue, orange in zip(side, blues, oranges, strict=True)]
 
 
 def ordered_inks(count: int) -> list[Ink]:

@@ -323,20 +323,20 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
     if sheets is None or sheets_new is None or shells is None or shells_new is None:
         return {"ratios": None, "shells": None}
     index = dict(zip(old.tolist(), new.tolist(), strict=True))
-    both = sheets.assign(index=sheets["index"].map(index)).merge(sheets_new, on=["event", "index"])
-    change = (both["ratio_y"] - both["ratio_x"]).abs().dropna()
+    names_of = ("_old", "_new")
+    sheets = sheets.assign(index=sheets["index"].map(index))
+    both = sheets.merge(sheets_new, on=["event", "index"], suffixes=names_of)
+    change = (both["ratio_new"] - both["ratio_old"]).abs().dropna()
     ratios = {"of": len(change), "median": float(change.median()), "largest": float(change.max())}
-    sides = shells.merge(shells_new, on=["event", "side"])
-    sizes = [
-        {
-            "side": side,
-            "median": [float(part[f"stiff_sheets_{which}"].median()) for which in "xy"],
-            "other": int((part["stiff_sheets_x"].fillna(-1) != part["stiff_sheets_y"].fillna(-1)).sum()),
-            "of": len(part),
-        }
-        for side in (-1, 1)
-        if len(part := sides[sides["side"] == side])
-    ]
+    sides = shells.merge(shells_new, on=["event", "side"], suffixes=names_of)
+    sizes = []
+    for side in (-1, 1):
+        part = sides[sides["side"] == side]
+        if len(part):
+            was, now = part["stiff_sheets_old"], part["stiff_sheets_new"]
+            medians = [float(was.median()), float(now.median())]
+            other = int((was.fillna(-1) != now.fillna(-1)).sum())
+            sizes.append({"side": side, "median": medians, "other": other, "of": len(part)})
     return {"ratios": ratios, "shells": sizes}
 
 

@@ -288,7 +288,7 @@ class Session:
             positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
             decision = last_of(self.pending, "strip")
             return {
-                "name": self.folder.resolve().name,
+                "name": self.stored.name,
                 "frames": self.diagram.frames,
                 "first_frame": int(positions.frame[0]),
                 "columns": self.diagram.columns,
@@ -302,8 +302,12 @@ class Session:
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
                 "clock": plain(self.clock),
-                "tiles": {"rows": TILE_ROWS, "columns": TILE_COLUMNS, "factor": TILE_FACTOR}
-                | {"levels": self.tiles.levels},
+                "tiles": {
+                    "rows": TILE_ROWS,
+                    "columns": TILE_COLUMNS,
+                    "factor": TILE_FACTOR,
+                    "levels": self.tiles.levels,
+                },
                 **self.state(),
             }
 
@@ -424,11 +428,14 @@ class Session:
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
             candidates = [{"x_px": x[k], "sheet": owner[k]} for k in range(len(x))]
-            names = ("x_px", "withheld_px")
             sheets = [
-                {"index": k, "flag": FLAGS[positions.flag[row, k]]}
-                | {"why": DOUBTS.get(WHYS[positions.why[row, k]], "")}
-                | {name: getattr(positions, name)[row, k] for name in names}
+                {
+                    "index": k,
+                    "flag": FLAGS[positions.flag[row, k]],
+                    "why": DOUBTS.get(WHYS[positions.why[row, k]], ""),
+                    "x_px": positions.x_px[row, k],
+                    "withheld_px": positions.withheld_px[row, k],
+                }
                 for k in range(positions.sheets)
             ]
         return {"frame": frame, "candidates": candidates, "sheets": sheets}

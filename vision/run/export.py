@@ -51,7 +51,7 @@ def export_run(
     cannot be written; or for a run without the data that are exported.
     """
     ending, write = FILES.get(to, (f"_{to}", None))
-    target = out or Path(f"{run.folder.resolve().name}{ending}")
+    target = out or Path(f"{run.name}{ending}")
     if to == "xlsx" and target.suffix.lower() != ".xlsx" and not target.is_dir():  # or no program opens it
         target = target.with_name(f"{target.name}.xlsx")
     check_outside(target, run.folder)
@@ -121,15 +121,11 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     particle is the sheet's index from the left, ep the standard error of x, and y the middle of the strip.
     Positions that were not measured are left out, as trackpy accepts no NaN.
     """
-    tracks = run.tracks
-    table = tracks_table(tracks)
-    table = table[table["flag"].isin(MEASURED)].rename(
-        columns={"x_px": "x", "x_err_px": "ep", "index": "particle"}
-    )
-    strip = StripMetadata.of(tracks)
+    table, strip = tracks_table(run.tracks), StripMetadata.of(run.tracks)
+    table = table.rename(columns={"x_px": "x", "x_err_px": "ep", "index": "particle"})
     table["y"] = (strip.strip_z0 + strip.strip_z1 - 1) / 2
     names = ["x", "y", "frame", "particle", "ep", "time_s", "side", "n"]
-    return table[names].reset_index(drop=True)
+    return table.loc[table["flag"].isin(MEASURED), names].reset_index(drop=True)
 
 
 def napari_table(run: RunFolder) -> pd.DataFrame:
@@ -151,10 +147,8 @@ def write_rois(run: RunFolder, path: Path) -> None:
 
     tracks, start = run.tracks, first_column(run)
     rois = []
-    sheets = zip(
-        tracks["side"].values.tolist(), tracks["n"].values, tracks["x_px"].values.T - start, strict=True
-    )
-    for side, n, x in sheets:
+    sides, numbers, curves = tracks["side"].values.tolist(), tracks["n"].values, tracks["x_px"].values.T
+    for side, n, x in zip(sides, numbers, curves - start, strict=True):
         name = f"{SIDES[side]}_{n}"
         known = np.flatnonzero(np.isfinite(x))
         stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if known.size else []
@@ -235,9 +229,11 @@ def _column(column: pd.Series[Any]) -> pd.Series[Any]:
         return cells.mask(np.isinf(column), column.astype(str))
     if column.dtype.kind in "iub":
         return cells
-    return cells.map(
-        lambda text: harmless(ILLEGAL_CHARACTERS_RE.sub("", text)) or None if isinstance(text, str) else text
-    )
+
+    def as_stored(cell: Any) -> Any:
+        return harmless(ILLEGAL_CHARACTERS_RE.sub("", cell)) or None if isinstance(cell, str) else cell
+
+    return cells.map(as_stored)
 
 
 def write_mat(run: RunFolder, path: Path) -> None:
@@ -284,14 +280,12 @@ def _matrices(tracks: xr.Dataset, pixel_size_um: float) -> dict[str, Any]:
 
 def _struct(table: pd.DataFrame) -> dict[str, Any]:
     """Return the columns of a table: numbers as doubles, text as cells."""
-    return {
-        str(name): (
-            column.to_numpy(np.float64)[:, None]
-            if column.dtype.kind in "iufb"
-            else column.fillna("").astype(str).to_numpy(object)[:, None]
-        )
-        for name, column in table.items()
-    }
+    struct = {}
+    for name, column in table.items():
+        is_number = column.dtype.kind in "iufb"
+        cells = column.to_numpy(np.float64) if is_number else column.fillna("").astype(str).to_numpy(object)
+        struct[str(name)] = cells[:, None]
+    return struct
 
 
 FILES: dict[str, tuple[str, Callable[[RunFolder, Path], list[str] | None]]] = {
@@ -403,12 +397,10 @@ class _Canvas:
     def draw(self, pixels: Pixels | None, row: int) -> Colour:
         """Return a frame with all marks, RGB; `row` is its row in the tracks."""
         canvas = np.zeros((*self.shape, 3), np.uint8)
-        height, width = self.picture
         flag = np.asarray(self.tracks["flag"].values[row])
-        state = ""
-        if pixels is None:
-            state = f" {flag[0]}"
-        else:
+        state = f" {flag[0]}"
+        if pixels is not None:
+            state, (height, width) = "", self.picture
             grey = (np.asarray(pixels, np.float32) - self.low) * (255 / (self.high - self.low))
             grey = np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)
             how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_NEAREST

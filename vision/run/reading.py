@@ -55,6 +55,11 @@ class RunFolder:
     folder: Path
     facts: Mapping[str, Any]  # content of run.json
 
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by the names of the command's options."""

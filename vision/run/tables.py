@@ -6,11 +6,10 @@ The TIFFs open in Fiji with µm and s per pixel; those of a run are read back.
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
@@ -190,10 +189,7 @@ def write_kymograph_tif(
     values = np.asarray(strip.values, np.float32)
     large = values.nbytes > IMAGEJ_BYTES
     form = {"bigtiff": True} if large else {"imagej": True, **_calibration(strip, pixel_size_um)}
-    place = tifffile.imwrite(path, shape=values.shape, dtype=values.dtype, returnoffset=True, **form)
-    assert place is not None
-    with path.open("r+b") as file:
-        file.seek(place[0])
+    with _open_tif(path, values.shape, values.dtype, **form) as file:
         for part in parts_in_turn(values):
             if stop is not None and stop.is_set():
                 return
@@ -219,15 +215,20 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     facts = _calibration(diagram, pixel_size_um)
     facts["metadata"] |= {"cf": 0, "c0": low - step, "c1": step, "vunit": "grey level"}
     facts["metadata"] |= _display(diagram, low, step)
-    pixels = tifffile.memmap(path, shape=diagram.shape, dtype=np.uint16, imagej=True, **facts)
-    if hasattr(os, "posix_fallocate"):  # writing to a mapped file on a full disk would kill the process
-        with path.open("r+b") as file:
-            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    for part in row_parts(len(diagram), ROWS):
-        rows = np.asarray(diagram[part].values, np.float64)
-        grey = np.clip(np.rint((rows - low) / step) + 1, 1, 65535)
-        pixels[part] = np.where(np.isfinite(rows), grey, 0)
-    pixels.flush()
+    with _open_tif(path, diagram.shape, np.dtype(np.uint16), imagej=True, **facts) as file:
+        for part in row_parts(len(diagram), ROWS):
+            rows = np.asarray(diagram[part].values, np.float64)
+            grey = np.clip(np.rint((rows - low) / step) + 1, 1, 65535)
+            file.write(np.where(np.isfinite(rows), grey, 0).astype(np.uint16).data)
+
+
+def _open_tif(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], **form: Any) -> BinaryIO:
+    """Make a TIFF of one picture, and return it open where its rows are to be written, from the first on."""
+    place = tifffile.imwrite(path, shape=shape, dtype=dtype, returnoffset=True, **form)
+    assert place is not None
+    file = path.open("r+b")
+    file.seek(place[0])
+    return file
 
 
 def frame_step_s(times_s: Floats) -> float:
