@@ -33,7 +33,7 @@ Data = xr.DataArray | xr.Dataset | pd.DataFrame
 PIXEL_SIZE_UM = (1e-3, 1000.0)
 """Least and largest µm per pixel. Less than the former, which light does not resolve, is a mistyped unit (m
 for µm); a picture with more would not show sheets."""
-WHOLE_RATIO = 1.0
+MOST_RATIO = 1.0
 """Largest threshold of σ_x/Λ_st: sheets that move steadily by a whole stick length have 1/√12 = 0.29."""
 OPERATIONS = "operations"
 """Attribute with the stages that made the data, as JSON."""
@@ -104,9 +104,12 @@ class Metadata:
     @classmethod
     def of(cls, data: Data) -> Self:
         """Read the metadata from the ``attrs`` of a dataset; what is not there has its default."""
-        lists = {part.name for part in fields(cls) if str(part.type).startswith("Sequence")}
-        found = {part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs}
-        return cls(**{name: _listed(value) if name in lists else value for name, value in found.items()})
+        found = {}
+        for name, default in cls().attrs().items():
+            if name in data.attrs:
+                is_list = isinstance(default, list | tuple)
+                found[name] = _listed(data.attrs[name]) if is_list else data.attrs[name]
+        return cls(**found)
 
     def attrs(self) -> dict[str, Any]:
         """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
@@ -120,9 +123,9 @@ def check_pixel_size(pixel_size_um: Any) -> None:
 
 
 def check_threshold(threshold: Any) -> None:
-    """Raise `InputError` for a threshold of σ_x/Λ_st that is not above 0 and at most `WHOLE_RATIO`."""
-    expected = f"a number above 0, at most {WHOLE_RATIO:g} (steady motion by a whole Λ_st has 1/√12 = 0.29)"
-    check_within(expected, 1e-9, WHOLE_RATIO, threshold=threshold)
+    """Raise `InputError` for a threshold of σ_x/Λ_st that is not above 0 and at most `MOST_RATIO`."""
+    expected = f"a number above 0, at most {MOST_RATIO:g} (steady motion by a whole Λ_st has 1/√12 = 0.29)"
+    check_within(expected, 1e-9, MOST_RATIO, threshold=threshold)
 
 
 def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
@@ -142,8 +145,10 @@ def operations_of(data: Data) -> list[dict[str, Any]]:
 
 
 def parameters_of(data: Data, operation: str) -> dict[str, Any]:
-    """Return the parameters of the last such stage that made the data, those with its defaults left out of
-    ``settings``; empty if there is none."""
+    """Return the parameters of the last such stage that made the data; empty if there is none.
+
+    Their ``settings`` hold only what differs from the defaults.
+    """
     done = [step["parameters"] for step in operations_of(data) if step["operation"] == operation]
     return done[-1] if done else {}
 

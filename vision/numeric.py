@@ -179,9 +179,10 @@ def typical_where(known: Bools, values: NDArray[np.floating]) -> Floats:
 
 
 def typical_medians(made: Callable[[Ints | slice], NDArray[np.floating]], rows: int) -> Floats:
-    """Return the median over `typical_rows` of each column of a table of which made(indices) are some rows.
+    """Return the median over `typical_rows` of each column of a table that is made row by row.
 
-    All rows count for columns that are mostly NaN in `typical_rows`: a sheet may be seen in few frames.
+    made: returns the rows with these indices.  rows: number of all rows. All count for columns that are
+    mostly NaN in `typical_rows`: a sheet may be seen in few frames.
     """
     some = made(typical_rows(rows))
     medians = nan_median(some)
@@ -335,7 +336,7 @@ def _beside_quantile(fraction: float, lanes: Floats) -> tuple[Floats, Floats, Fl
 
 
 def _selected(fraction: float, lanes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what `_beside_quantile` does, for long lanes: to select a value is faster than to sort all."""
+    """Return the same for long lanes, in which selecting a value is faster than sorting all."""
     count = np.isfinite(lanes).sum(axis=-1)
     low, high, share = _places(fraction, count)
     below, above = (np.full(count.shape, np.nan) for _ in range(2))

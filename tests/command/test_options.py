@@ -10,13 +10,13 @@ from vision.command.options import GROUPS, SampleOptions, VideoOptions, option_n
 from vision.command.settings import (
     merged,
     parse_duration,
-    parse_length,
     parse_pair,
     parse_pitch,
     parse_pixel_size,
     parse_scale,
     parse_seconds,
     parse_sheets,
+    parse_width,
     parse_with_error,
     settings_of,
 )
@@ -37,14 +37,14 @@ from vision.pipeline import Settings
 )
 def test_a_length_is_its_number_times_its_unit(text, meant):
     """A failure means a window a thousand times too wide or too narrow."""
-    assert parse_length(text, "--width") == pytest.approx(meant)
+    assert parse_width(text) == pytest.approx(meant)
 
 
 @pytest.mark.parametrize("text", ["200", "mm", "-1mm", "0px", "1e400px", "1.2.3mm", "20 nm", "", "nan px"])
 def test_a_length_without_sense_is_refused(text):
     """A failure means that a unit is guessed."""
     with pytest.raises(InputError, match="--width"):
-        parse_length(text, "--width")
+        parse_width(text)
 
 
 @pytest.mark.parametrize("text", ["1mm=103px", "103 px = 1 mm", "1000um=103px", "0.05cm=51.5px"])
@@ -80,7 +80,7 @@ def test_a_pixel_size_has_its_error(typed, size, error):
     read = settings_of(merged(*(group() for group in GROUPS[1:]), VideoOptions(**typed)))
     assert read.pixel_size_um == pytest.approx(size)
     assert read.pixel_size_err_um == (None if error is None else pytest.approx(error))
-    assert parse_pitch("0.2±0.002mm", "--pitch") == pytest.approx((200, 2))
+    assert parse_pitch("0.2±0.002mm") == pytest.approx((200, 2))
 
 
 @pytest.mark.parametrize("text", ["10±", "±1", "10±20", "10±x", "10±-1", "10px", "10±1±1", "nan", "10 ± inf"])
@@ -263,8 +263,8 @@ def test_a_value_with_a_senseless_error_is_refused(text):
     ("parse", "text", "pointed"),
     [
         (parse_pixel_size, "0,01mm", "0.01mm"),
-        (lambda text: parse_pitch(text, "--pitch"), "0,2mm", "0.2mm"),
-        (lambda text: parse_length(text, "--width"), "1,5 px", "1.5 px"),
+        (parse_pitch, "0,2mm", "0.2mm"),
+        (parse_width, "1,5 px", "1.5 px"),
         (parse_scale, "1,5mm=103,5px", "1.5mm=103.5px"),
         (lambda text: parse_pair(text, "--fit-range", "a range", example="13.2:17"), "13,2:17", "13.2:17"),
         (parse_seconds, "40:45,1", "40:45.1"),

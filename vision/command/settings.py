@@ -174,9 +174,9 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
 
 
 def _value_and_error(text: str) -> tuple[float, float | None]:
-    """Return the numbers of 13, 13±0.1, 13+-0.1 or 13+/-0.1, None for no error; NaN without sense.
+    """Return the numbers of 13, 13±0.1, 13+-0.1 or 13+/-0.1, with None for no error.
 
-    An error larger than its value, other than 0, makes no sense: 10±20.
+    The value is NaN if the text is no number, or the error exceeds a value other than 0: 10±20.
     """
     first, sign, last = text.replace("+-", "±").replace("+/-", "±").partition("±")
     value, error = number(first), number(last) if sign else 0.0
@@ -184,8 +184,10 @@ def _value_and_error(text: str) -> tuple[float, float | None]:
 
 
 def _length_and_error(text: str) -> tuple[float, float | None, str]:
-    """Return value, error and unit of a length, such as 10±0.1um: "um", "px" or "" for none; NaN without
-    sense."""
+    """Return value, error and unit of a length, such as 10±0.1um, as `_value_and_error` does.
+
+    The unit is "um" (also of lengths in cm and mm, which are converted), "px", or "" for none.
+    """
     text = text.strip()
     unit = next((unit for unit in (*UM_PER, "px") if text.endswith(unit)), "")
     value, error = _value_and_error(text.removesuffix(unit))
@@ -206,7 +208,7 @@ def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
 
 
 def _refused(option: str, wanted: str, text: str, example: str) -> InputError:
-    """Return the error for a value of an option, which names its decimal commas or gives an example."""
+    """Return the error for the value of an option; it says how to write decimal commas, or an example."""
     return InputError(option, wanted, f"'{text}'", with_point(text) or f"write {example}")
 
 
@@ -258,7 +260,7 @@ def parse_scale(text: str | None) -> tuple[float | None, float | None]:
     return size, size * math.hypot(*relative) if relative else None
 
 
-def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | None]:
+def parse_pitch(text: str | None) -> tuple[float | None, float | None]:
     """Return the distance of neighbouring sheets in µm and its error, or None, from 0.2mm or 0.2±0.002mm.
 
     Raises: InputError.
@@ -268,19 +270,19 @@ def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | No
     value, error, unit = _length_and_error(text)
     if unit != "um" or not 0 < value < math.inf:
         wanted = "a length in cm, mm or µm, or with its smaller error"
-        raise _refused(option, wanted, text, "0.2mm or 0.2±0.002mm")
+        raise _refused("--pitch", wanted, text, "0.2mm or 0.2±0.002mm")
     return value, error
 
 
-def parse_length(text: str, option: str) -> dict[str, float]:
-    """Parse a positive length with its unit: {"width_um": …} for cm, mm, um and µm, {"width_px": …} for px.
+def parse_width(text: str) -> dict[str, float]:
+    """Parse a width with its unit: {"width_um": …} for cm, mm, um and µm, {"width_px": …} for px.
 
     Raises: InputError, also for a number without a unit, which could be in µm or in px.
     """
     value, error, unit = _length_and_error(text)
     if not unit or error is not None or not 0 < value < math.inf:
         wanted = "a length with its unit: cm, mm, um, µm or px"
-        raise _refused(option, wanted, text, "0.2mm")
+        raise _refused("--width", wanted, text, "0.2mm")
     return {f"width_{unit}": value}
 
 
@@ -292,7 +294,8 @@ def parse_seconds(text: str | None) -> tuple[float | None, float | None] | None:
     start = number(first) if first.strip() else None
     stop = number(last) if last.strip() else None
     ends = [end for end in (start, stop) if end is not None]
-    if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
+    rising = all(map(math.isfinite, ends)) and ends == sorted(set(ends))
+    if not (colon and ends and rising):
         wanted = "two times in seconds A:B with A < B"
         raise _refused("--time", wanted, text, "40:45.1")
     return start, stop
@@ -340,7 +343,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         if value.get(option) is not None and setting in Settings.__dataclass_fields__
     }
     parts["d0_mm"], parts["d0_err_mm"] = parse_with_error(value.get("d0"), "--d0")
-    parts["pitch_um"], parts["pitch_err_um"] = parse_pitch(value.get("pitch"), "--pitch")
+    parts["pitch_um"], parts["pitch_err_um"] = parse_pitch(value.get("pitch"))
     parts["pixel_size_err_um"] = value.get("pixel_size_err")
     sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
     parts["geometry_err"] = {name: error for name, (_, error) in sizes.items() if error is not None}

@@ -30,11 +30,11 @@ from vision.command.settings import (
     at_least,
     merged,
     parameters_given,
-    parse_length,
     parse_pixel_size,
     parse_range,
     parse_seconds,
     parse_sheets,
+    parse_width,
     settings_of,
 )
 from vision.command.track import OVERLAY, one_film, origin_of, run_name
@@ -190,7 +190,7 @@ def _windows_of(window: WindowOptions) -> tuple[list[Sheet], dict[str, float]]:
     for option, given in (("--width", window.width), ("--follow", window.follow)):
         if given and not sheets:
             raise InputError(option, "a sheet for the window", "none", "give --sheet right:1, for example")
-    return sheets, parse_length(window.width, "--width") if window.width else {}
+    return sheets, parse_width(window.width) if window.width else {}
 
 
 def _from_run(folder: Path, options: VideoOptions) -> tuple[Analysis, list[Path]]:
@@ -348,7 +348,7 @@ def figures(
     if list_:
         return conclude(in_columns([(name, one.title) for name, one in made.items()], "<"), (), quiet=False)
     if paper.width is not None:
-        width = parse_length(paper.width, "--width")
+        width = parse_width(paper.width)
         if "width_px" in width:
             raise InputError("--width", "a width on paper", f"'{paper.width}'", "write 86mm")
         made = {name: one.of_width(width["width_um"] / 1000, paper.font_size) for name, one in made.items()}

@@ -509,9 +509,13 @@ def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
     """Set the ranges of two y axes so that the curves in view are above each other."""
     low, high = ax.get_xlim()
     for axes, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
-        mine = [series for series in panel.series if series.axis == side]
-        drawn = [(one.x, y) for one in mine for y in (one.y, one.low, one.high) if y is not None]
-        y = np.concatenate([y[(x >= low) & (x <= high) & np.isfinite(y)] for x, y in drawn] or [np.empty(0)])
+        y = np.empty(0)
+        for series in panel.series:
+            in_view = (series.x >= low) & (series.x <= high)
+            curves = [curve for curve in (series.y, series.low, series.high) if curve is not None]
+            if series.axis == side:
+                y = np.concatenate([y, *(curve[in_view] for curve in curves)])
+        y = y[np.isfinite(y)]
         if y.size:
             span = float(np.ptp(y)) or 1.0
             axes.set_ylim(float(y.min()) - below * span, float(y.max()) + above * span)

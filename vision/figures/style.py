@@ -194,8 +194,10 @@ def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, 
 
 
 def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
-    """Return the range of an axis from 0 to above this share of the values, or above all of them if none is
-    far off; None if none is positive."""
+    """Return the range of an axis from 0 to above the values; None if none is positive.
+
+    share: quantile of the values. If the largest is more than twice as large, it may lie outside.
+    """
     known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
     known = known[np.isfinite(known)]
     if not known.size:
@@ -206,7 +208,7 @@ def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None
 
 
 def label_step(x: Any, width: float) -> int:
-    """Return 1, 2, 5, 10, 20, …: labels of this width fit at every so many-th point."""
+    """Return the step, 1, 2, 5, 10, 20, …, at which labels of this width fit, one at every step-th point."""
     pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else width
     least = width / max(pitch, 1e-9)
     steps = np.outer(10 ** np.arange(6), [1, 2, 5]).ravel()

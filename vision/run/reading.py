@@ -9,11 +9,11 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self
+from typing import Any, BinaryIO, Literal, Self, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -43,7 +43,6 @@ from vision.run.tables import attrs_of_netcdf, read_kymograph_tif, sheets_table
 from vision.sheets.corrections import Correction, correction_of
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
-_NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
 EVENT_COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")  # of events.csv that later stages need
 
@@ -78,10 +77,9 @@ class RunFolder:
         value = self.value("pixel_size")
         if value is None:
             return None
-        with reading(self.folder / RUN_JSON, "a pixel size in µm", AGAIN):
-            size = float(value)
-            if not 0 < size < math.inf:
-                raise ValueError(value)
+        size = number(value)
+        if not 0 < size < math.inf:
+            raise InputError(self.folder / RUN_JSON, "a pixel size in µm", "a damaged one", AGAIN)
         return size
 
     @property
@@ -116,10 +114,10 @@ class RunFolder:
             return None
         facts = read_json(path)
         with reading(path, "a clock as track writes it", AGAIN):
-            known = from_json(Clock, facts)
-            numbers = {part.name: _NUMBERS[part.type] for part in fields(Clock) if part.type in _NUMBERS}
-            known = {name: math.nan if value is None else value for name, value in known.items()}
-            known |= {name: kind(known[name]) for name, kind in numbers.items() if name in known}
+            known, kinds = from_json(Clock, facts), get_type_hints(Clock)
+            for name, value in known.items():
+                if kinds[name] in (float, int):
+                    known[name] = kinds[name](math.nan if value is None else value)
             times = {name: tuple(map(float, known.get(name) or ())) for name in ("only_video_s", "matched_s")}
             candidates = tuple(Candidate(**one) for one in known.get("candidates") or ())
             warnings = tuple(map(str, known.get("warnings") or ()))

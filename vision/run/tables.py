@@ -151,8 +151,7 @@ def _as_bytes(text: xr.Variable) -> NDArray[np.bytes_]:
 
 
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert attributes for netCDF: lists to JSON, also text that would be read back as JSON, but what is
-    JSON already.
+    """Convert attributes for netCDF: lists become JSON, and so does text that would be read back as JSON.
 
     Characters of file names that are not UTF-8 become "?".
     """
@@ -172,6 +171,7 @@ def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_read_as_json(name: str, value: Any) -> bool:
+    """Tell whether a text is read back as JSON; `OPERATIONS` is JSON in memory, too."""
     return name != OPERATIONS and isinstance(value, str) and value[:1] in _JSON
 
 
