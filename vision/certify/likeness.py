@@ -192,51 +192,56 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     part = slice(first, min(frames, first + settings.most_frames))  # the middle of the run
     strip, tracks = strip.isel(frame=part), tracks.isel(frame=part)
     values, first_px = np.asarray(strip.values, np.float32), float(strip["x"].values[0])
+    width = values.shape[1]
+
+    # Positions, from left to right, of the sheets that most of the usable frames show.
     order = np.argsort(nan_median(tracks["x_px"].values))
     x_px, err_px, flag = (tracks[name].values[:, order] for name in ("x_px", "x_err_px", "flag"))
     x_px = np.asarray(x_px, float) - first_px
     whole = _whole(x_px, values, settings)
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
-    x_px, err_px, frozen = x_px[:, often], err_px[:, often], (flag == "frozen").all(axis=1)
+    frozen = (flag == "frozen").all(axis=1)
+    x_px, err_px, flag = x_px[:, often], err_px[:, often], flag[:, often]
+
+    # Their smooth motion.
     slips = find_jumps(x_px, settings)
     beside = _beside(slips, len(x_px))
-    distorted = _distorted(x_px, err_px, flag[:, often], beside, settings)
+    distorted = _distorted(x_px, err_px, flag, beside, settings)
     between_frames = StripMetadata.of(strip).codec in BETWEEN_FRAMES
     motion, common, left = smooth_motion(
         x_px, slips, settings, between_frames=between_frames, distorted=distorted
     )
+
+    # The mean picture, from pixels that nothing disturbs or clips.
     usable = whole & ~beside
     if usable.sum() < settings.least_frames:
         usable = whole
-    disturbed = _around(distorted | (~np.isfinite(x_px) & ~frozen[:, None]), motion, values.shape[1])
+    disturbed = _around(distorted | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
     disturbed[~np.isfinite(values).all(axis=1)] = False
     ceiling = float(np.nanmax(values))
     clipped = values > ceiling - 0.5
     excluded = disturbed | clipped if clipped.mean() > 1e-3 else disturbed
     gain = _gain(values, excluded, usable)
-    picture = _mean_picture(values, excluded, gain, motion, np.flatnonzero(usable), settings)
-    columns, kept = np.arange(values.shape[1], dtype=float), np.flatnonzero(usable)
+    kept = np.flatnonzero(usable)
+    picture = _mean_picture(values, excluded, gain, motion, kept, settings)
+
+    # What it does not explain; where positions are as measured, their noise is in the motion.
+    columns = np.arange(width, dtype=float)
     shown = np.array([gain[t] * picture.shown(columns, motion[t]) for t in kept])
     residual = np.asarray(values[kept] - np.minimum(shown, ceiling), np.float32)
-    as_measured = _around(left == 0, motion, values.shape[1])  # the noise of positions is in the motion there
+    without = disturbed | _around(left == 0, motion, width)
+    parts = _parts(gain, settings)
+    residuals = _residuals(residual, kept, parts, slips, without, left, between_frames, settings)
+
+    # Sheets that have no position in the run's first frame are displaced as the others are.
     start = start[order][often] - first_px
-    # Displacement in the first frame of sheets that have no position there.
     offset = float(np.nan_to_num(nan_median(start - picture.rest_px)))
     return Likeness(
         strip=strip,
         frames=part,
         picture=picture,
         gain=gain,
-        residuals=_residuals(
-            residual,
-            kept,
-            _parts(gain, settings),
-            slips,
-            disturbed | as_measured,
-            left,
-            between_frames,
-            settings,
-        ),
+        residuals=residuals,
         motion_px=motion,
         smooth=left > 0,
         common_px=common,

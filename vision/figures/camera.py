@@ -96,13 +96,19 @@ def frame_figure(
     z0, z1 = float(facts.strip_z0), float(facts.strip_z1)
     across = None if strip is None else (float(strip["x"][0]) - 0.5, float(strip["x"][-1]) + 0.5)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
-    how = "dashed; the motion does not show it" if _axis_is_middle(tracks) else "dashed"
-    numbers = f"sheet numbers n, symmetry axis ({how})" if axis else "index from the left (axis not known)"
+    numbers, explained = "index from the left (axis not known)", "index from the left"
+    if axis:
+        how = "dashed; the motion does not show it" if _axis_is_middle(tracks) else "dashed"
+        numbers = f"sheet numbers n, symmetry axis ({how})"
+        explained = f"number n counted outwards from the symmetry axis ({how})"
     aspect = rows / columns
     shown = float(np.clip(aspect, 0.09, 1.5))
     z_scale = shown / aspect  # over that of x
-    times = max(z_scale, 1 / z_scale)
-    stretched = f"; {'z' if z_scale > 1 else 'x'} stretched {times:.2g} times" if shown != aspect else ""
+    stretched = ""
+    if z_scale > 1:
+        stretched = f"; z stretched {z_scale:.2g} times"
+    elif z_scale < 1:
+        stretched = f"; x stretched {1 / z_scale:.2g} times"
     number_height = 0.03 * columns / z_scale
     # Numbers that do not fit between the picture's edge and the strip are above the picture.
     numbers_z = z0 - 0.5 if z0 > number_height else -0.5
@@ -137,9 +143,7 @@ def frame_figure(
     ).figure(
         "frame",
         f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
-        "profile I(x); vertical strokes mark the sheets that were found, with their "
-        + (f"number n counted outwards from the symmetry axis ({how})" if axis else "index from the left")
-        + f"{stretched}.",
+        f"profile I(x); vertical strokes mark the sheets that were found, with their {explained}{stretched}.",
         title="The frame, the strip and the numbered sheets",
     )
 

@@ -607,25 +607,25 @@ Box = tuple[float, float, float, float]
 
 def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
     """Return left, bottom, width and height of every panel, and the size of the page, in inches."""
-    columns = min(figure.columns, len(figure.panels))
+    columns, sizes = min(figure.columns, len(figure.panels)), _inches()
     grid = [figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)]
-    across = [[row[c] for row in grid if c < len(row)] for c in range(columns)]
-    before = [_inches().side if any(map(_labelled, column)) else _inches().inner for column in across]
-    after = [_inches().side if any(p.y2_label for p in column) else _inches().inner for column in across]
+    before, after = list[float](), list[float]()  # margins of each column
+    for column in (figure.panels[k::columns] for k in range(columns)):
+        before.append(sizes.side if any(map(_labelled, column)) else sizes.inner)
+        after.append(sizes.side if any(panel.y2_label for panel in column) else sizes.inner)
     width = (figure.width_in - sum(before) - sum(after)) / columns
     boxes, y = [], 0.0
     for row in grid:
         tallest = width * max(panel.aspect for panel in row)
         labels = [label for p in row for label in (p.x_label if p.time_down else p.y_label, p.y2_label)]
-        least = max(_inches().least_height, max(map(len, labels)) * _inches().label_character)
+        least = max(sizes.least_height, max(map(len, labels)) * sizes.label_character)
         height = float(np.clip(tallest, least, max(least, _MOST_HEIGHT)))
-        y -= _inches().top + _top(figure, row, width) + height
+        y -= sizes.top + _top(figure, row, width) + height
         x = 0.0
-        for column in range(len(row)):
-            x += before[column]
-            boxes.append((x, y, width, height))
-            x += width + after[column]
-        y -= _inches().bottom + _inches().foot * max(len(_foot(panel, width).splitlines()) for panel in row)
+        for _, left, right in zip(row, before, after, strict=False):
+            boxes.append((x + left, y, width, height))
+            x += left + width + right
+        y -= sizes.bottom + sizes.foot * max(len(_foot(panel, width).splitlines()) for panel in row)
     return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 
