@@ -56,16 +56,7 @@ class Rows:
 def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     """Estimate the standard deviation of normal values from their median absolute deviation.
 
-    Parameters
-    ----------
-    values
-        Any shape, without NaN.
-    axis
-        Axis along which the deviation is computed; None for all values.
-
-    Returns
-    -------
-    A float for ``axis=None``, else an array without that axis.
+    values: without NaN.  axis: None for all values, which gives a float.
     """
     middle = np.median(values, axis=axis, keepdims=True)
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN

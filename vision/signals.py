@@ -83,18 +83,11 @@ def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
 
 
 class Maxima(NamedTuple):
-    """Local maxima from left to right, all (K,).
+    """Local maxima from left to right, (K,)."""
 
-    Parameters
-    ----------
-    at
-        Index; for a plateau the index of its middle, rounded down.
-    prominence
-        Height above a base: the higher of the minima on the two sides, each searched within `reach` and as
-        far as the next higher value.
-    """
-
-    at: Ints
+    at: Ints  # index; of a plateau that of its middle, rounded down
+    # height above a base: the higher of the minima on the two sides, each searched within `reach` and as far
+    # as the next higher value
     prominence: Floats
 
 
@@ -103,25 +96,11 @@ def find_maxima(
 ) -> Maxima:
     """Find the maxima of a signal that have at least a given prominence.
 
-    Parameters
-    ----------
-    line
-        The signal, without NaN.
-    least_prominence
-        Smallest prominence, above 0.
-    reach
-        Number of samples on either side within which the base of a maximum is searched.
-    widest
-        Plateaus must be shorter than this.
-
-    Returns
-    -------
-    Maxima
-
-    Notes
-    -----
     Equivalent to `scipy.signal.find_peaks` with a window of ``2 reach + 1``. The signal is monotonic between
     neighbouring extrema, so only the extrema are searched.
+
+    line: the signal, without NaN.  least_prominence: above 0.  reach: number of samples on either side within
+    which the base of a maximum is searched.  widest: plateaus must be shorter than this.
     """
     first, last = _turns(line)
     level = line[last]

@@ -149,32 +149,17 @@ def certify(
 ) -> Certificate:
     """Measure what one recording can resolve.
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
-    pixel_size_um, phases
-        Pixel size and stick phases, both of which the results about σ_x/Λ_st need.
-    encoder
-        How the recording was encoded, from `vision.certify.encoder.read_encoder`. Films are then encoded
-        again instead of getting the recording's residuals.
-    settings
-        Tunable constants.
-    progress
-        Called with (films tracked, total films).
-
-    Raises
-    ------
-    InputError
-        If fewer than 30 frames show the sheets.
-
-    Notes
-    -----
     Films are made from the recording's own mean picture, smooth motion and residuals, see
     `vision.certify.likeness`: nothing is assumed about the shape of ridges, the light or the noise. Residuals
     are those of other frames, including the effect of the codec. The films do not show a constant error of a
     sheet's position, which displacements do not have, nor errors that last as long as a stick phase, which
     look like motion; codecs that predict frames from others make such errors.
+
+    strip, tracks: I(x, t) and x(n, t) of the recording.  pixel_size_um, phases: both needed for σ_x/Λ_st.
+    encoder: how the recording was encoded (`read_encoder`); films are then encoded again instead of getting
+    its residuals.  progress: called with (films tracked, total films).
+
+    Raises: InputError if fewer than `settings.least_frames` frames show the sheets.
     """
     like, track, recorded_px = _imitated(strip, tracks, encoder, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]

@@ -308,8 +308,6 @@ class Motion(SheetMotion):
 def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motion:
     r"""Return the motion of the sheets during a pull: creep, jumps, slow spreading, delays between sheets.
 
-    Notes
-    -----
     The sweep of a sheet in one stick phase is √12 σ_x (uniform creep), with
 
     .. math:: \sigma_x / \Lambda_\mathrm{st} = r_\mathrm{outer}\,(\mathrm{rank}/M)^p
