@@ -354,8 +354,9 @@ def figures(
         made = {name: one.of_width(width["width_um"] / 1000, paper.font_size) for name, one in made.items()}
     target = output.out or Path(f"{finished.name}_figures")
     check_outside(target, run)
-    images = [name for name in names or made if to == "csv" and made[name].table().empty]
-    files = [target / f"{name}.{to}" for name in names or made if name not in images]
+    chosen = names or tuple(made)
+    images = [name for name in chosen if to == "csv" and made[name].table().empty]
+    files = [target / f"{name}.{to}" for name in chosen if name not in images]
     for file in files:
         check_new(file, overwrite=output.overwrite)
     for file in files:
@@ -408,10 +409,10 @@ def certify(
     films: Annotated[
         int,
         Option(help="Number of synthetic films. More take longer and average over more noise and motion."),
-    ] = 3,
+    ] = CertifySettings.films,
     most_frames: Annotated[
         int, Option(help="Largest number of frames of a film, from the middle of the run.")
-    ] = 600,
+    ] = CertifySettings.most_frames,
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Measure what the recording of a run can resolve, from similar films with known truth.
@@ -429,7 +430,7 @@ def certify(
         track certify test_tracks --films 6 --out certified
     """
     at_least(films, "--films", 1)
-    at_least(most_frames, "--most-frames", 30)
+    at_least(most_frames, "--most-frames", CertifySettings.least_frames)
     finished = read_run(run)
     target = output.out or Path(f"{finished.name}_certificate")
     check_outside(target, run)

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 Ink = tuple[str, str]
 """Colour on a light and on a dark background."""
 Range = tuple[float, float]
-LETTERS = "a size of letters from 4 to 40 pt"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -254,15 +253,16 @@ class Figure:
         font_size: of the letters with which it will be saved, pt.  Raises: InputError for a width at which
         axes and labels have no room, which is below 50 mm with letters of 10 pt.
         """
-        check_within(LETTERS, 4, 40, font_size=font_size)
+        _check_letters(font_size)
         least = 5.0 * font_size  # mm for a panel: the numbers and label of its axis take half of them
         check_within(f"a width from {least:g} to 1000 mm", least, 1000, width_mm=width_mm)
         columns = min(self.columns, len(self.panels), int(width_mm / (1.2 * least)) or 1)
         panels = list(self.panels)
-        for k, panel in enumerate(panels):
-            if columns < self.columns and k:  # a panel may share the axis of its left neighbour
-                shared = {name: getattr(panels[k - 1], name) for name in ("x_label", "y_label")}
-                panels[k] = replace(panel, **{n: text for n, text in shared.items() if not getattr(panel, n)})
+        if columns < self.columns:  # a panel that shares the axis of its left neighbour gets its own
+            for k, panel in enumerate(panels[1:], 1):
+                before = panels[k - 1]
+                x_label, y_label = panel.x_label or before.x_label, panel.y_label or before.y_label
+                panels[k] = replace(panel, x_label=x_label, y_label=y_label)
         return replace(self, width_in=width_mm / 25.4, columns=columns, panels=tuple(panels))
 
     def save(self, path: str | Path, *, dpi: float | None = None, font_size: float = 10.0) -> Path:
@@ -274,7 +274,7 @@ class Figure:
 
         Raises: InputError for another suffix, OSError if the file cannot be written.
         """
-        check_within(LETTERS, 4, 40, font_size=font_size)
+        _check_letters(font_size)
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
@@ -294,6 +294,10 @@ class Figure:
         return drawing.png(drawing.render(self))
 
     _repr_png_ = png  # for notebooks
+
+
+def _check_letters(font_size: float) -> None:
+    check_within("a size of letters from 4 to 40 pt", 4, 40, font_size=font_size)
 
 
 def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:

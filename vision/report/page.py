@@ -146,15 +146,14 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
     if (image := panel.image) is not None:
         picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
         picture["uri"] = image_uri(image, most_bytes=450_000)
-    labels = ("x_label", "y_label", "y2_label")
     same = (
-        *("x_lines", "x_range", "y_range", "first_view", "downwards", "time_down"),
-        *("whole_numbers", "y_whole_numbers", "switchable", "common_x"),
+        "x_label y_label y2_label x_lines x_range y_range first_view downwards time_down whole_numbers "
+        "y_whole_numbers switchable common_x"
     )
     return {
         "name": name,
-        **{one: getattr(panel, one) for one in (*labels, *same)},
-        "axis_labels": [to_unicode(getattr(panel, one)) for one in labels],
+        **{one: getattr(panel, one) for one in same.split()},
+        "axis_labels": [to_unicode(label) for label in (panel.x_label, panel.y_label, panel.y2_label)],
         "series": [_series_data(series, index_of) for series in panel.series],
         "arrays": arrays,
         "picture": picture,

@@ -185,9 +185,9 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> Posit
     """Apply a decision and return the new positions.
 
     If the number of sheets does not change, the arrays are changed in place. Ridges are searched in the
-    diagram and fitted with the sliding window; they get the sheet's median error. (Saving tracks again, with
-    the run's own fit.) Decisions about strip and clock change nothing here. Sheets are counted as in these
-    positions.
+    diagram and fitted with the sliding window, and get the sheet's median error: when the run is saved, they
+    are tracked again with its own fit. Decisions about strip and clock change nothing here. Sheets are
+    counted as in these positions.
 
     Raises: InputError if the decision is not valid for the positions, which are not changed then.
     """

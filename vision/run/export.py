@@ -39,14 +39,10 @@ def export_run(
 ) -> tuple[Path, list[str]]:
     """Write a run's tables for another program: a folder for csv and parquet, else one file.
 
+    out: file (.xlsx is added to a workbook's name without it) or folder; by default the run's name with the
+    format's suffix in the working directory.
+
     Returns: the file or folder that was written, and notes on what was left out.
-
-    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
-    trackpy, napari and imagej.
-
-    out: file (.xlsx is added to a workbook's name without it) or folder; by default
-    the run's name with the format's suffix in the working directory.
-
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
     cannot be written; or for a run without the data that are exported.
     """

@@ -52,9 +52,9 @@ from vision.systematics import Budget, systematic_budget
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
 WRITTEN = frozenset(
-    {RUN_JSON, "report.html", "overview.png", "kymograph.png", "kymograph.tif", "tracks.csv", "tracks.nc"}
-    | {"sheets.csv", "events.csv", "models.json", "clock.json", "deformation.csv", "shells.csv", "force.png"}
-    | {"figures.npz", CORRECTIONS, FAILURES, "first_view.zip"}
+    f"{RUN_JSON} {CORRECTIONS} {FAILURES} report.html overview.png kymograph.png kymograph.tif tracks.csv "
+    "tracks.nc sheets.csv events.csv models.json clock.json deformation.csv shells.csv force.png figures.npz "
+    "first_view.zip".split()
 )
 """Names of the files that a run folder holds; others in it are the user's."""
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
@@ -208,6 +208,7 @@ def run_facts(
         facts["clock"] = analysis.clock
     facts["systematic_errors"] = budget.to_json()
     parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
+    # The data of a late stage name the stages before it as well.
     operations = [operations_of(part) for part in parts if part is not None]
     longest = max(operations, key=len, default=[])
     others = [step for steps in operations for step in steps if step not in longest]
