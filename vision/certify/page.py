@@ -13,18 +13,6 @@ from vision.numeric import with_minus
 from vision.report.page import render_page
 from vision.summary import Answer
 
-# How films were made, and what the certificate does not include.
-_RESIDUALS = (
-    "The residual holds noise, unequal pixels and the effect of the codec; each frame of the films has the "
-    "residual of another frame of the same brightness.",
-    "Errors that last as long as a stick phase, which look like motion.",
-)
-_ENCODED = (
-    "As the codec carries errors from frame to frame, no residual shows all of them: the films were drawn "
-    "without residuals on one of the recording's frames and encoded again ({}).",
-    "Motion so fast or small that the recording does not show it.",
-)
-
 
 def write_certificate(certificate: Certificate, folder: Path) -> None:
     """Write certificate.html, certificate.json and certificate.csv, or none of them.  Raises: InputError."""
@@ -36,7 +24,18 @@ def write_certificate(certificate: Certificate, folder: Path) -> None:
 
 
 def _write_page(c: Certificate, path: Path) -> None:
-    made = _ENCODED if c.encoding else _RESIDUALS
+    if c.encoding:
+        films_made = (
+            "As the codec carries errors from frame to frame, no residual shows all of them: the films were "
+            f"drawn without residuals on one of the recording's frames and encoded again ({c.encoding})."
+        )
+        not_shown = "Motion so fast or small that the recording does not show it."
+    else:
+        films_made = (
+            "The residual holds noise, unequal pixels and the effect of the codec; each frame of the films "
+            "has the residual of another frame of the same brightness."
+        )
+        not_shown = "Errors that last as long as a stick phase, which look like motion."
     render_page(
         path,
         [("Every sheet", [certificate_figure(c)])],
@@ -49,10 +48,10 @@ def _write_page(c: Certificate, path: Path) -> None:
         warnings=c.warnings,
         missing=[
             "A constant error of each sheet's position, which displacements do not have.",
-            made[1],
+            not_shown,
             "Frames in which a slip happens.",
         ],
-        methods=[_methods(c, made[0].format(c.encoding))],
+        methods=[_methods(c, films_made)],
         tables=(),
     )
 
