@@ -392,7 +392,8 @@ def write_csv(table: pd.DataFrame, path: Path, *, digits: int | None = 9) -> Non
     digits: significant digits of numbers that are not whole; None for all.
     """
     safe = table.rename(columns=lambda name: harmless(str(name)))
-    for name in safe.columns[safe.dtypes.map(lambda kind: kind.kind not in "iufb")]:
-        safe[name] = safe[name].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
+    for name, dtype in safe.dtypes.items():
+        if dtype.kind not in "iufb":
+            safe[name] = safe[name].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
     style = None if digits is None else f"%.{digits}g"
     safe.to_csv(path, index=False, float_format=style, lineterminator="\n")

@@ -30,7 +30,7 @@ from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, 
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.files import Progress, in_threads
 from vision.folder import TRUTH, run_folder
-from vision.numeric import Floats, Floats32, Ints, Pixels
+from vision.numeric import Floats, Floats32, Ints, Pixels, row_parts
 
 # --- sensor -------------------------------------------------------------------------------------------------
 
@@ -103,8 +103,7 @@ def frame_blocks(scene: Scene) -> Iterator[Pixels]:
         return np.stack([drawn(*one) for one in each])
 
     step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
-    spans = (slice(first, min(first + step, total)) for first in range(0, total, step))
-    return in_threads(block, spans, held=4)
+    return in_threads(block, row_parts(total, step), held=4)
 
 
 def _cell_of(scene: Scene, x_px: Floats) -> Floats:
@@ -139,14 +138,13 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
     total, average = len(scene.times.camera_s), _row_average(scene)
     intensity = np.empty((total, camera.width), np.float32)
-    for first in range(0, total, 32):
-        frames = slice(first, min(first + 32, total))
+    for frames in row_parts(total, 32):
         texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
         light = scene.base + scene.ridge_light(frames, texture)
         up_to = np.cumsum(light, axis=1)
         seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
         seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
-        rng = random_stream(experiment.seed, "profile noise", first)
+        rng = random_stream(experiment.seed, "profile noise", frames.start)
         intensity[frames] = mean_of_rows(seen, camera, rows.stop - rows.start, rng)
     return _as_strip(intensity, scene), truth_of(scene)
 

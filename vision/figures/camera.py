@@ -412,7 +412,7 @@ def kymograph_figure(diagrams: Sequence[xr.DataArray], *, slips: SlipTimes = NO_
     return Figure(
         name="kymograph",
         title="Space-time diagrams",
-        caption=KYMOGRAPH_CAPTION + INTERPOLATED * interpolated,
+        caption=KYMOGRAPH_CAPTION + (INTERPOLATED if interpolated else ""),
         panels=panels,
         columns=len(panels),
         width_in=1.1 + 2.3 * len(diagrams) if windows else 13.0,

@@ -511,9 +511,9 @@ def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
     for axes, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
         y = np.empty(0)
         for series in panel.series:
-            in_view = (series.x >= low) & (series.x <= high)
-            curves = [curve for curve in (series.y, series.low, series.high) if curve is not None]
             if series.axis == side:
+                in_view = (series.x >= low) & (series.x <= high)
+                curves = [curve for curve in (series.y, series.low, series.high) if curve is not None]
                 y = np.concatenate([y, *(curve[in_view] for curve in curves)])
         y = y[np.isfinite(y)]
         if y.size:

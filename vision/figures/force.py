@@ -115,8 +115,9 @@ def clocks_figure(
             Series(label="sheets", x=t_video, y=opened, ink=DATA, dashed=True, axis="right"),
         ),
     )
-    ambiguous = " The clocks are ambiguous: this alignment is only the likeliest."
-    doubt = ambiguous * (clock.status == "ambiguous")
+    doubt = ""
+    if clock.status == "ambiguous":
+        doubt = " The clocks are ambiguous: this alignment is only the likeliest."
     at, *_ = clock.offsets_at_slips()
     line = f"t(force) = t(video) + t_0 + r (t(video) − {at} s)" if at else "t(force) = t_0 + (1 + r) t(video)"
     return panel.figure(

@@ -23,7 +23,7 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.memory import word_codes
-from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nearest, typical_median
+from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nearest, row_parts, typical_median
 from vision.review.recordings import Diagram, decided_clock
 from vision.run.reading import read_tracks
 from vision.sheets.corrections import (
@@ -116,9 +116,8 @@ class Positions:
         """Return the times at which the sheets step outwards, s on the camera's clock."""
         # All of 100 000 rows at once would take 250 MB of memory; in parts with fewer than about ten slips
         # their typical size is poorly known.
-        frames, at_once = len(self.frame), 10_000
-        parts = [slice(k, min(k + at_once, frames) + 1) for k in range(0, frames, at_once)]
-        return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
+        parts = row_parts(len(self.frame), 10_000)
+        return np.concatenate([_slips_in(self.tracks(slice(one.start, one.stop + 1))) for one in parts])
 
     def row_of(self, frame: int) -> int:
         """Return the row of a frame number.  Raises: InputError for a frame that the run does not have."""
@@ -257,8 +256,7 @@ class _CorrectedPositions(Corrected):
         facts, first_column = self.positions.track_facts, self.diagram.first_column
         fit: FitName = "paper" if facts.fit == "paper" else "sliding"
         start, x = np.rint(ridge_px - np.float64(first_column)), np.empty(len(rows))
-        for begin in range(0, len(rows), BLOCK):
-            part = slice(begin, begin + BLOCK)
+        for part in row_parts(len(rows), BLOCK):
             first, stop = int(rows[part].min()), int(rows[part].max()) + 1
             profile = self.positions.profile(self.diagram, slice(first, stop))
             seen = profile[rows[part] - first]

@@ -144,9 +144,9 @@ class Tiles:
         frames, columns = self.diagram.frames, self.diagram.columns
         level = np.empty((-(-frames // step), columns), np.float32)
         block = max(1, (1 << 20) // (step * columns))  # 4 MB are read at a time
-        for row in range(0, len(level), block):
-            part = self.diagram.rows(row * step, (row + block) * step)
-            level[row : row + block] = _extremes(part, step, bright=self.bright)
+        for rows in row_parts(len(level), block):
+            part = self.diagram.rows(rows.start * step, rows.stop * step)
+            level[rows] = _extremes(part, step, bright=self.bright)
         kept = [self._grey(level)]
         while len(kept) < wanted:
             level = _extremes(level, TILE_FACTOR, bright=self.bright)

@@ -20,7 +20,7 @@ from vision.errors import InputError
 from vision.figures.style import HIGHLIGHT, ON_GREY, label_step, rgb
 from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
-from vision.numeric import Floats, Ints, Pixels, nan_median
+from vision.numeric import Floats, Ints, Pixels, nan_median, row_parts
 from vision.run.reading import RunFolder, check_outside, check_results, first_column, read_json
 from vision.run.tables import tracks_table
 from vision.spacetime import grey_limits
@@ -210,8 +210,8 @@ def _write_sheet(book: Any, name: str, table: pd.DataFrame) -> None:
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of a table as Excel can store them."""
-    for start in range(0, len(table), CELL_ROWS_AT_ONCE):
-        part = table.iloc[start : start + CELL_ROWS_AT_ONCE]
+    for rows in row_parts(len(table), CELL_ROWS_AT_ONCE):
+        part = table.iloc[rows]
         columns = [_column(part[name]) for name in part.columns]
         yield from zip(*columns, strict=True)
 

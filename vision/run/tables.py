@@ -69,8 +69,8 @@ def _in_arrow(values: NDArray[Any]) -> pa.Array:
 def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield `tracks_columns` of `ROWS_PER_CHUNK` rows at a time, so that memory does not grow."""
     step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
-    for start in range(0, max(1, tracks.sizes["frame"]), step):
-        yield tracks_columns(tracks.isel(frame=slice(start, start + step)), pixel_size_um=pixel_size_um)
+    for frames in row_parts(max(1, tracks.sizes["frame"]), step):
+        yield tracks_columns(tracks.isel(frame=frames), pixel_size_um=pixel_size_um)
 
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:
@@ -322,8 +322,8 @@ def read_kymograph_tif(path: Path, frames: int) -> Floats32:
     rows = FrameStore(shape[1], expected=frames)
     with reading(path, "a space-time diagram as track writes it", AGAIN), path.open("rb") as file:
         file.seek(start)
-        for first in range(0, frames, ROWS):
-            part = np.empty((min(ROWS, frames - first), shape[1]), stored)
+        for some in row_parts(frames, ROWS):
+            part = np.empty((some.stop - some.start, shape[1]), stored)
             read_fully(file, part.data.cast("B"), path)
             rows.append(part.astype(np.float32, copy=False))
     return rows.rows()
