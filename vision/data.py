@@ -472,7 +472,6 @@ FORCE = Schema(
 
 # --- stick-slip events --------------------------------------------------------------------------------------
 
-
 RegimeName = Literal["stick-slip", "oscillation", "cycles", "noise"]
 ThresholdHow = Literal["", "noise", "jumps", "gap", "given"]
 LowpassHow = Literal["recorded", "given", "found", "doubtful", "none"]
@@ -596,7 +595,6 @@ def whole_events(flags: Iterable[object]) -> Bools:
 
 
 # --- deformation --------------------------------------------------------------------------------------------
-
 
 NOT_SUBTRACTED = "not subtracted"
 

@@ -82,7 +82,6 @@ SETTINGS = CampaignSettings()
 
 # --- the table ----------------------------------------------------------------------------------------------
 
-
 FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
 NO_FILMS = "expected a column film; found none"

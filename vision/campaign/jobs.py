@@ -31,7 +31,6 @@ from vision.run.reading import is_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
-
 HERE = Path(__file__).parent
 SNAKEFILE = HERE / "Snakefile"
 LOG = "snakemake.log"
@@ -163,7 +162,6 @@ def _last_line(log: Path) -> str:
 
 
 # --- one job ------------------------------------------------------------------------------------------------
-
 
 Work = Callable[[PlannedFilm, Path, Path], str]
 """Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write.

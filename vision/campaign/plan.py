@@ -29,7 +29,6 @@ from vision.video import open_video, video_files
 
 # --- states -------------------------------------------------------------------------------------------------
 
-
 Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
 FINISHED: tuple[Word, ...] = ("done", "warnings", "partial")
 """States of films that are not repeated while the key is the same. ``partial``: the film is tracked, but its
@@ -70,7 +69,6 @@ def _path(out: Path, name: str) -> Path:
 
 
 # --- the plan -----------------------------------------------------------------------------------------------
-
 
 PLAN = "plan.json"
 LAYOUT = 1  # version of the campaign folder's layout; a folder with another one is refused

@@ -39,7 +39,6 @@ from vision.run.writing import FAILURES
 
 # --- the page -----------------------------------------------------------------------------------------------
 
-
 PAGE = "index.html"
 ORDER_OF_STATES = ("failed", "partial", "warnings", "running", "waiting", "done")
 
@@ -149,7 +148,6 @@ def duration(seconds: float) -> str:
 
 # --- tables: Parquet datasets with one partition per film, written by the film's job ------------------------
 
-
 TABLES = ("tests", "sheets", "sticks", "deformation", "positions")
 FOLDER = "tables"
 FILE = "part.parquet"
@@ -256,7 +254,6 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 
 
 # --- the comparison -----------------------------------------------------------------------------------------
-
 
 POOL, REMARKS = "pool", "pool.json"
 

@@ -70,7 +70,6 @@ def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
 
 # --- I(x, t) ------------------------------------------------------------------------------------------------
 
-
 Grey = NDArray[np.uint8]
 
 

@@ -255,7 +255,6 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
 
 # --- the first view: answers stored in the run folder -------------------------------------------------------
 
-
 FIRST_VIEW = "first_view.zip"
 READ = ("run.json", "corrections.toml")
 SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")

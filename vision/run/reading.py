@@ -366,7 +366,6 @@ def _words(characters: xr.DataArray) -> xr.Variable:
 
 # --- checkpoint of an interrupted run -----------------------------------------------------------------------
 
-
 FRAMES, FACTS = "frames", "reading.json"
 STATUS = ("", "ok", "corrupt", "lost")  # status by its number in the file; 0: not written before a crash
 PART = 4096  # frames read or written at a time
