@@ -72,11 +72,10 @@ def find_trends(
 
     Weights are 1/(error² + s²), where s is the scatter between tests beyond their errors, chosen such that
     χ²/dof is at most 1. The p value of Spearman's ρ is the share of random orders with as large a |ρ|.
-    Partial slopes come from y = a + b₁ n_test + b₂ RH. Their p value permutes the residuals of the model
-    without that slope (Freedman and Lane 1983), so it is valid for any effect of the other predictor. The p
-    values are adjusted for the number of trends (Holm 1979): if there is no trend, at most one comparison in
-    twenty claims one. An error of the geometry shifts all tests of a sample together, which permutations
-    cannot show, so a slope within two of its systematic errors is not claimed.
+    Partial slopes come from y = a + b₁ n_test + b₂ RH; their p value permutes the residuals of the model
+    without that slope (Freedman and Lane 1983). The p values are adjusted for the number of trends (Holm
+    1979): if there is no trend, at most one comparison in twenty claims one. An error of the geometry shifts
+    all tests of a sample together, so a slope within two of its systematic errors is not claimed.
     """
     found = [
         _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
@@ -126,10 +125,11 @@ def _trend(
         return line, {name: float(value) for name, value in names.items()}, scatter
 
     line, found, scatter = slope(_design(x[known]))
-    rho, p = spearman(x[known], y[known], rng, settings.draws)
+    one, other = (scipy.stats.rankdata(values[known]) for values in (x, y))
+    rho, p = permutation_test(one, other, np.ones((count, 1)), rng, settings.draws)
     trend = Trend(**about, **found, intercept=float(line[0]), scatter=scatter, spearman=rho, p=p)
-    (other,) = PREDICTORS.keys() - {predictor}
-    z = table[other].to_numpy(float)
+    (held,) = PREDICTORS.keys() - {predictor}
+    z = table[held].to_numpy(float)
     known &= np.isfinite(z)
     if known.sum() < settings.least_tests + 1 or not (np.ptp(z[known]) > 0 and np.ptp(x[known]) > 0):
         return trend
@@ -137,7 +137,9 @@ def _trend(
         return trend  # the predictors are collinear, so neither can be held fixed
     design = _design(x[known], z[known])
     _, found, scatter = slope(design)
-    partial_p = _partial_p(design, y[known], 1 / np.hypot(error[known], scatter), rng, settings.draws)
+    root = 1 / np.hypot(error[known], scatter)  # of the weights
+    weighted = design * root[:, None]
+    _, partial_p = permutation_test(weighted[:, 1], y[known] * root, weighted[:, [0, 2]], rng, settings.draws)
     return replace(trend, partial_p=partial_p, **{f"partial_{name}": value for name, value in found.items()})
 
 
@@ -163,35 +165,20 @@ def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floa
     return *fit(scatter)[:2], scatter
 
 
-def spearman(x: Floats, y: Floats, rng: np.random.Generator, draws: int) -> tuple[float, float]:
-    """Return the rank correlation and its p value from random orders."""
-    a, b = scipy.stats.rankdata(x), scipy.stats.rankdata(y)
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
-    if not size > 0:
+def permutation_test(
+    x: Floats, y: Floats, others: Floats, rng: np.random.Generator, draws: int
+) -> tuple[float, float]:
+    """Return the correlation of x and y at fixed `others`, (test, 1 or 2), and its p value, the share
+    of random orders of what the others leave of y that correlate as much (Freedman and Lane 1983)."""
+    basis = np.linalg.qr(others)[0]
+    x, rest = (part - basis @ (basis.T @ part) for part in (x, y))
+    if not min(np.ptp(x), np.ptp(rest)) > 0:
         return float("nan"), float("nan")
-    rho = float(a @ b) / size
-    others = rng.permuted(np.tile(b, (draws, 1)), axis=1) @ a / size
-    return rho, float((1 + np.sum(np.abs(others) >= abs(rho) - 1e-12)) / (draws + 1))
-
-
-def _partial_p(design: Floats, y: Floats, root: Floats, rng: np.random.Generator, draws: int) -> float:
-    """Return the p value of the first slope with the other predictor held fixed; `root`: √weights."""
-    full, y = design * root[:, np.newaxis], y * root
-    reduced = full[:, [0, 2]]
-    fitted = reduced @ (np.linalg.pinv(reduced) @ y)
-    drawn = fitted + rng.permuted(np.tile(y - fitted, (draws, 1)), axis=1)
-    t = np.abs(_t_of_slope(full, y[np.newaxis]))[0]
-    return float((1 + np.sum(np.abs(_t_of_slope(full, drawn)) >= t * (1 - 1e-12))) / (draws + 1))
-
-
-def _t_of_slope(design: Floats, y: Floats) -> Floats:
-    """Return the slope divided by its error for each row of y."""
-    inverse = np.linalg.pinv(design)
-    value = y @ inverse.T
-    residual = y - value @ design.T
-    spread = np.sqrt(np.sum(residual**2, axis=1) / (y.shape[1] - design.shape[1]))
-    return np.asarray(value[:, 1] / (np.linalg.norm(inverse[1]) * np.maximum(spread, 1e-300)))
+    drawn = np.vstack([y, y - rest + rng.permuted(np.tile(rest, (draws, 1)), axis=1)])
+    drawn -= drawn @ basis @ basis.T
+    found = drawn @ x / np.maximum(np.linalg.norm(x) * np.linalg.norm(drawn, axis=1), 1e-300)
+    larger = np.sum(np.abs(found[1:]) >= abs(found[0]) - 1e-9)
+    return float(found[0]), float((1 + larger) / (draws + 1))
 
 
 # --- a change within one test -------------------------------------------------------------------------------
