@@ -100,37 +100,23 @@ def normal_force_on_edge(
     mu: ArrayLike,
     sample: Sample = PUBLISHED,
 ) -> Floats:
-    r"""Normal force in N on sheet n if gravity acts along x, as in blocks turned by 90°.
+    r"""Normal force in N on sheet n if gravity acts along x, as in blocks turned by 90°; negative where the
+    sheets would separate.
 
-    Parameters
-    ----------
-    n, d_mm, mu, sample
-        As in `normal_force`.
-    side
-        +1 where the weight points to the axis, -1 where it points away from it.
-    weight_N
-        Weight m_p g of a sheet, for example from `sheet_weight_N`; for blocks turned by another angle, times
-        the sine of the angle.
+    side: +1 where the weight points to the axis, -1 where it points away from it.  weight_N: m_p g of a
+    sheet, for example from `sheet_weight_N`; for blocks turned by another angle, times the sine of the angle.
 
-    Returns
-    -------
-    Force in N; negative where the sheets would separate.
-
-    Notes
-    -----
     .. math:: \frac{dN}{dn} = -\frac{4 \epsilon \mu n}{d} \left(N + \frac{T^*}{2 \mu}\right) \mp 2 m_p g,
         \qquad N(M) = 0,
 
-    which adds to Eq. 2
+    which adds to Eq. 2, with Dawson's function D,
 
     .. math:: \pm 2 m_p g \int_n^M e^{\alpha (n'^2 - n^2) / M^2} dn' = \pm \frac{2 m_p g M}{\sqrt\alpha}
-        \left[e^{\alpha (1 - s^2)} D(\sqrt\alpha) - D(s \sqrt\alpha)\right], \quad s = n / M
+        \left[e^{\alpha (1 - s^2)} D(\sqrt\alpha) - D(s \sqrt\alpha)\right], \quad s = n / M.
 
-    with Dawson's function D. The contributions of the two sides cancel, so that the traction is that of Eq. 1
-    as long as no N is negative.
+    The contributions of the two sides cancel: the traction is that of Eq. 1 as long as no N is negative.
     """
-    m = sample.sheets_per_block
-    root = np.sqrt(amplification(d_mm, mu=mu, sample=sample))
+    m, root = sample.sheets_per_block, np.sqrt(amplification(d_mm, mu=mu, sample=sample))
     s = np.asarray(n, float) / m
     with np.errstate(over="ignore"):
         amplified = np.exp(root**2 * (1 - s**2)) * scipy.special.dawsn(root) - scipy.special.dawsn(s * root)
@@ -266,17 +252,8 @@ class SpringBlock:
 
     .. math:: m\ddot u = -k u + \mu_d w, \qquad u(0) = \mu_s w/k, \qquad \dot u(0) = v
 
-    Parameters
-    ----------
-    mass_kg, stiffness_N_per_mm, load_N
-        m, k and w.
-    mu_static, mu_dynamic
-        μ_s > μ_d ≥ 0.
-
-    Raises
-    ------
-    InputError
-        If a number is not positive and finite, or μ_d ≥ μ_s, where there is no stick-slip.
+    Here m, k and w are `mass_kg`, `stiffness_N_per_mm` and `load_N`. InputError is raised if a number is not
+    positive and finite, or μ_d ≥ μ_s, where there is no stick-slip.
     """
 
     mass_kg: float
@@ -347,20 +324,9 @@ def onset_of_stick_slip(
     .. math:: k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right], \qquad
         t_c = 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
 
-    Parameters
-    ----------
-    a, b
-        Direct effect of the speed, and effect of the age.
-    critical_length_um
-        Sliding distance D_c over which contacts are renewed.
-    load_N, speed_mm_s, mass_kg
-        N, V and m.
-
-    Raises
-    ------
-    InputError
-        If `mass_kg` is negative, another number is not positive and finite, or b ≤ a, where steady sliding is
-        always stable.
+    Here a is the direct effect of the speed, b that of the age, D_c = `critical_length_um` the distance over
+    which contacts are renewed. InputError is raised if b ≤ a, where steady sliding is always stable, or a
+    number is not positive and finite (the mass may be 0).
     """
     check_within("a number from 0", 0, math.inf, mass_kg=mass_kg)
     check_positive(a=a, b=b, critical_length_um=critical_length_um, load_N=load_N, speed_mm_s=speed_mm_s)
