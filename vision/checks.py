@@ -49,96 +49,68 @@ class CheckSettings(Tunable):
     most_saturated: float = 0.5
     """Share of saturated pixels above which they are named as the reason why no ridges are found.  Smaller
     blames a bright background; larger lets a saturated picture pass as one without sheets."""
-
     most_left_out: float = 0.1
-    """Share of the positions left out above which a warning doubts others, too.  With 0.2 there is no
-    advice if a hand always covers part of the comb and other positions are wrong; smaller advises on gaps
-    that harm nothing else."""
-
+    """Share of the positions left out above which a warning doubts others, too.  Larger gives no advice if a
+    hand always covers part of the comb; smaller advises on gaps that harm nothing else."""
     usual_missing: float = 0.01
-    """Share of the positions that may be missing without a warning: fewer are the usual gaps at the edges of
-    the picture.  Smaller warns of nearly every film; larger overlooks sheets that are lost for a while."""
-
+    """Share of the positions that may be missing without a warning.  Smaller warns of the usual gaps at the
+    edges of the picture; larger overlooks sheets that are lost for a while."""
     second_comb: float = 2.0
     """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
     is silent about reflections that double the errors; smaller warns where they matter little."""
-
     changed_px: float = 0.1
     """Error of most positions of a frame, px, from which a warning counts the frame, where ridges look unlike
-    usual.  On films in constant light and focus no frame exceeds it.  Smaller names errors well below a
-    sheet's sweep; larger is silent where the light moves from one side of the sheets to the other
-    (`test_ridges_lit_from_the_other_side_are_named`)."""
-
+    usual.  Smaller names errors well below a sheet's sweep; larger is silent where the light moves from one
+    side of the sheets to the other (`test_ridges_lit_from_the_other_side_are_named`)."""
     changed_frames: float = 0.05
     """Share of the frames that such a stretch, and such ridges, must have for the warning.  Smaller warns of
     slips; larger overlooks a light that moves shortly before the film ends."""
-
     seen_between: float = 0.05
     """Share of the frames with a further ridge between most sheets above which a warning says so.  Smaller
     warns of frames in which two images overlap; larger is silent where a film shows the blocks together only
     at its beginning (`test_sheets_that_leave_early_are_named`)."""
-
     gap_depth: float = 0.4
-    """Depth of the gaps between ridges, over the ridges' height above the background beside the comb, below
-    which a warning says that neighbours may be merged.  On films in focus it is at least 0.6, slightly
-    blurred ones have 0.45 to 0.7; below 0.4 sheets are lost.  Smaller overlooks films of which half of the
+    """Depth of the gaps between ridges, over the ridges' height above the background, below which a warning
+    says that neighbours may be merged: 0.6 or more in focus.  Smaller overlooks films of which half of the
     sheets are seen; larger warns of dense combs (`test_sheets_out_of_focus_are_said_to_merge`)."""
-
     pair_spacings: int = 9
     """Smallest number of spacings in which pairs of ridges are looked for.  Fewer may alternate by chance;
     more leave out small combs."""
-
     pair_tail: float = 0.1
     """Quantile of the wide spacings, and from above of the narrow ones, that is compared by `pair_ratio`.
     Smaller lets a single spacing decide; larger calls an uneven comb one of pairs."""
-
     pair_ratio: float = 1.5
     """Ratio of these quantiles from which ridges form pairs.  Smaller calls an uneven comb one of pairs;
     larger misses the edges of thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
-
     pair_motion: float = 2.0
     """Ridges also form pairs if the spacings beside every second one change by this factor more than that
-    does, in the median.  On 825 films of single sheets the factor is at most 1.4; on films that show two
-    edges of every sheet it is 3 to 87.  Smaller calls noise pairs; larger misses edges in noisy films."""
-
+    does.  Single sheets reach 1.4, two edges of every sheet 3 or more.  Smaller calls noise pairs."""
     odd_width: float = 1.75
-    """Width of a ridge, over the median, above which it may be something else.  On fixtures and released
-    films sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9.  Smaller calls
-    sheets of an uneven block something else; larger misses those."""
-
+    """Width of a ridge, over the median, above which it may be something else: sheets stay below 1.5, ridges
+    between pairs and gaps taken for sheets exceed 1.9.  Smaller doubts sheets of an uneven block."""
     end_height: float = 0.25
     """Height of an outermost sheet over that of the next two, each in its noise, below which it may be
     something else: ends of reflections have 0.06 to 0.25. Larger doubts dim sheets, smaller lets more of
     these pass (`test_the_end_of_a_reflection_beyond_the_comb`)."""
-
     end_still: float = 0.25
-    """Motion of an outermost sheet, over that of the next two, below which it may be something else. Sheets
-    move more than those further in; edges of the background are at 0 to 0.1. Smaller overlooks edges that
-    the sheet beside them pulls along; larger doubts sheets that stick to something outside."""
-
+    """Motion of an outermost sheet, over that of the next two, below which it may be something else, as edges
+    of the background with 0 to 0.1. Larger doubts sheets that stick to something outside."""
     end_moves: float = 2.5
     """Motion of those two, in errors of a position, from which that is judged. Smaller judges noise; larger
     leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb` at 5)."""
-
     end_in_view: float = 0.25
     """Share of the frames that must show both from which that is judged. Smaller judges few frames, larger
     leaves edges beside sheets often lost (`test_stripes_of_the_background_that_continue_the_comb` at 0.8)."""
-
     unequal_sides: float = 1.3
     """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is
-    questioned.  A camera that moves a tenth as far as the outermost sheets, in time with them, makes 33
-    sheets and 17 of 25 each, if their motion does not show the middle.  Smaller questions samples in which
-    some sheets are dark; larger lets such axes pass (`test_an_axis_that_the_camera_moves`)."""
-
+    questioned.  Smaller questions samples in which some sheets are dark; larger lets axes pass that follow
+    the camera (`test_an_axis_that_the_camera_moves`)."""
     unlikely_spacing: float = 10.0
     """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is
-    questioned.  A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one
-    is seen, by 2 to 4.  Smaller warns of the latter; larger overlooks factors of 10."""
-
+    questioned.  A wrong unit changes it by 1000, bulging sheets by 2 to 4; larger overlooks factors of 10."""
     least_spacing_um: float = 1.0
-    """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken
-    for µm make the spacing of paper less than this, which light hardly resolves.  Discs of a muscle are
-    1.8 µm apart: larger would question their films."""
+    """Spacing below which the pixel size is questioned though the sheets' thickness is not known: light
+    hardly resolves less.  Larger would question discs of a muscle, 1.8 µm apart."""
 
 
 DEFAULT = CheckSettings()
@@ -403,11 +375,8 @@ def _spacings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings)
 
 
 def _alternating(spacing_px: Floats, settings: CheckSettings) -> str:
-    """Return which narrow and wide spacings (N − 1,) alternate, or "".
-
-    One ridge between two pairs shifts all pairs that follow. Therefore the spacings that remain without one
-    of the ridges are tried as well.
-    """
+    """Return which narrow and wide spacings (N − 1,) alternate, or ""; also without one of the ridges, as one
+    between two pairs shifts all pairs that follow."""
     place, ridge = np.arange(len(spacing_px) - 1), np.arange(1, len(spacing_px))[:, None]
     without = spacing_px[place + (place >= ridge)] + np.where(place == ridge - 1, spacing_px[ridge], 0.0)
     tail = settings.pair_tail
@@ -449,11 +418,8 @@ def decision_warnings(tracks: xr.Dataset, corrections: Sequence[Correction]) -> 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings, *, dark: bool = False) -> list[str]:
     """Return a warning if many of the averaged pixels are saturated, so that ridges have flat tops, or `dark`
-    ones have clipped flanks.
-
-    A saturated pixel is one within 0.4 % of the 99.9 % quantile, as a camera of 12 bits in a file of 16, or a
-    codec's white, saturates below the largest value that the file could hold.
-    """
+    ones have clipped flanks: within 0.4 % of the 99.9 % quantile, as a camera of 12 bits in a file of 16, or
+    a codec's white, saturates below the largest value that the file could hold."""
     pixels = frame[rows]
     top = float(np.quantile(pixels, 0.999))
     share = float((np.abs(pixels.astype(np.float32) - top) <= top / 255).mean())
@@ -621,12 +587,9 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
 
 
 def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
-    """Return which sheets are the outermost and still while the next two, which move less, do move, (N,).
-
-    A still edge of the background or of a lamp's light may lie where the next sheet would, and stripes of the
-    background where the next ones would. Compared are displacements along x; the camera's own are in all of
-    them.
-    """
+    """Return which sheets are the outermost and still while the next two, which move less, do move, (N,):
+    edges of the background or of a lamp's light. Compared are displacements along x; the camera's own are in
+    all of them."""
     x_px = tracks["x_px"].values - nan_median(tracks["x_px"].values)
     still = np.zeros(x_px.shape[1], bool)
     if len(still) < 5:
@@ -673,11 +636,8 @@ def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:
 
 
 def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
-    """Return whether the axis is where the motion of the sheets allows it, or nothing is known of that.
-
-    It lies between two sheets, half a pitch from both, and sheets may be unevenly spaced. With one side in
-    view, it may lie anywhere beyond its end.
-    """
+    """Return whether the axis is where the motion of the sheets allows it, or nothing is known of that. It
+    lies between two sheets, half a pitch from both; with one side in view anywhere beyond its end."""
     if not (math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)):
         return True
     slack, (first, last) = 0.75 * found.pitch_px, _outermost_px(tracks)
@@ -725,10 +685,8 @@ def shells_against_fits(
 
 
 def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
-    """Return a warning if the stiff shells of the two sides differ by more than their errors.
-
-    A difference of one sheet is not reported: sheets differ, and an axis one sheet aside makes it two.
-    """
+    """Return a warning if the stiff shells of the two sides differ by more than their errors and one sheet:
+    sheets differ, and an axis one sheet aside makes it two."""
     if shells is None or shells["side"].nunique() < 2:
         return []
     names = ["stiff_sheets", "stiff_low", "stiff_high"]
