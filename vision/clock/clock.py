@@ -88,11 +88,8 @@ class Clock(Shown):
 
     def offsets_at_slips(self) -> tuple[int, Floats, float]:
         """Return a video time, s, and force clock less video time there, s: of this clock and its candidates,
-        with the standard error of the first.
-
-        The time is 0, or one among the matched slips where 0 is so far away (time stamps of the day, or since
-        1970) that the drift decides the offset there.
-        """
+        with the standard error of the first. The time is 0, or one among the matched slips where 0 is so far
+        away (time stamps since 1970) that the drift decides the offset there."""
         far = self.offset_err_s > _FAR * 1e-3 * self.error_ms and self.matched_s
         at = round(float(self.to_video_s(np.mean(self.matched_s)))) if far else 0
         clocks: tuple[Clock | Candidate, ...] = (self, *self.candidates)
@@ -132,9 +129,9 @@ def synchronise(
 ) -> Clock:
     """Find the straight line from video time to the force clock.
 
-    The clock is the given offset; without one, a column of the camera's times in the force recording;
-    without that, the alignment of the slips that both instruments recorded. A clock that does not come from
-    the slips is compared with them, and a contradiction gives a warning.
+    The clock is the given offset; without one, a column of the camera's times in the force recording; without
+    that, the alignment of the slips that both instruments recorded. A clock that does not come from the slips
+    is compared with them, and a contradiction gives a warning.
 
     Parameters
     ----------
@@ -149,8 +146,7 @@ def synchronise(
 
     Returns
     -------
-    The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
-    right one. The status is "ok" where `align_slips` finds no ambiguity, and "ambiguous" otherwise, or where
+    The clock. The status is "ok" where `align_slips` finds no ambiguity, and "ambiguous" otherwise, or where
     frames have no times of their own, from the file or from time stamps, and the slips fit nearly as well at
     another frame rate, also if one is given: the camera may have been slower than it was set.
 
@@ -200,12 +196,9 @@ def _check_overlap(video_s: Floats, force: xr.Dataset, clock: Clock, about: str)
     machine = good_samples(force)["time_s"].to_numpy()
     begin, end = clock.to_force_s([video_s.min(), video_s.max()])
     if end < machine[0] or begin > machine[-1]:
-        raise InputError(
-            about,
-            f"a video within the force recording, {machine[0]:.6g} to {machine[-1]:.6g} s",
-            f"one from {begin:.6g} to {end:.6g} s on that clock",
-            "check `offset_s`, or whether the two files belong together",
-        )
+        wanted = f"a video within the force recording, {machine[0]:.6g} to {machine[-1]:.6g} s"
+        found = f"one from {begin:.6g} to {end:.6g} s on that clock"
+        raise InputError(about, wanted, found, "check `offset_s`, or whether the two files belong together")
 
 
 def _slip_trains(seen: pd.DataFrame, drops: pd.DataFrame, settings: ClockSettings) -> SlipTrains:
@@ -400,7 +393,7 @@ def _given(
     if not found.ambiguity and abs(difference) > settings.contradiction_sigma * error:
         warnings = [
             f"according to the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, "
-            f"not {given.offset_s:.4f} s (margin {found.margin:.0f})",
+            f"not {given.offset_s:.4f} s (margin {found.margin:.0f})"
         ]
     return replace(given, warnings=tuple(warnings))
 
@@ -441,8 +434,5 @@ def clock_from_column(force: xr.Dataset) -> Clock | None:
     if not abs(slope - 1) <= 0.02:
         return None
     return Clock(
-        offset_s=middle - slope * centre,
-        drift_ppm=1e6 * (slope - 1),
-        status="given",
-        how="video time column",
+        offset_s=middle - slope * centre, drift_ppm=1e6 * (slope - 1), status="given", how="video time column"
     )

@@ -69,8 +69,8 @@ def horizontal_deformation(
     Parameters
     ----------
     tracks
-        From `track_sheets`: x_px (frame, sheet) with time_s, side and n.  Positions from other sources work,
-        too; without ``attrs["fit"]``, the fit that measured them, the errors do not include those of pixels.
+        From `track_sheets`: x_px (frame, sheet) with time_s, side and n. Positions from other sources work,
+        too; without ``attrs["fit"]`` the errors do not include those of pixels.
     sticks
         From `find_stick_slip`: t_v_s, t_p_s, stick_length_um and, if known, stick_length_err_um.
     clock
@@ -87,7 +87,7 @@ def horizontal_deformation(
 
     Returns
     -------
-    Dataset (event, sheet), as declared in `vision.data.MOTION`.  ``flag`` is "ok", or
+    Dataset (event, sheet), as declared in `vision.data.MOTION`. ``flag`` is "ok", or
 
     - "few": fewer than 4 usable frames, or they span less than two fifths of the stick; all values are NaN;
     - "no_length": Λ_st is not known; the ratio is NaN;
@@ -98,8 +98,8 @@ def horizontal_deformation(
     Raises
     ------
     InputError
-        If there is no pixel size, no time of a frame, no stick length, or no stick phase inside the video,
-        or if the clock is ambiguous.
+        If there is no pixel size, no time of a frame, no stick length, or no stick phase inside the video, or
+        if the clock is ambiguous.
 
     Notes
     -----
@@ -107,32 +107,28 @@ def horizontal_deformation(
 
     .. math:: \sigma_x = \sqrt{\langle \delta x^2 \rangle},
 
-    so that a linear sweep S gives :math:`S / \sqrt{12}`.  ``sigma_x_um`` is this value over the usable
-    frames, including noise and vibration.  ``sigma_x_corrected_um`` is
+    so that a linear sweep S gives :math:`S / \sqrt{12}`. ``sigma_x_um`` is this value over the usable frames,
+    including noise and vibration. ``sigma_x_corrected_um`` is
 
     .. math:: \sqrt{a_1^2 / 3 + a_2^2 / 5}
 
     with the creep :math:`\hat x + a_1 P_1(u) + a_2 P_2(u)` fitted to the usable frames (Legendre polynomials,
-    u from −1 at the valley to +1 at the peak).  The term :math:`a_2^2`, minus its noise, is used only where
-    :math:`a_2` exceeds 3 errors.  For many frames the result equals
-    :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`; for few frames it has less bias, since it keeps the sign.
+    u from −1 at the valley to +1 at the peak). The term :math:`a_2^2`, minus its noise, is used only where
+    :math:`a_2` exceeds 3 errors. For many frames the result equals :math:`\sqrt{\sigma^2 -
+    \mathrm{noise}^2}`; for few frames it has less bias, since it keeps the sign.
 
-    Camera movement consists of vibration, the common motion in each frame beyond the creep, with its bends
-    within a stick, and of drift during the stick.  Drift is found from left and right, or, with one side in
-    view, from the creep of the sheets in other sticks; ``attrs["camera_movement"]`` states which.  The creep
-    of a sheet that slips late or early is shortened accordingly.
+    Camera movement consists of vibration, the common motion in each frame beyond the creep, and of drift
+    during the stick, which is found from left and right, or, with one side in view, from the creep of the
+    sheets in other sticks (``attrs["camera_movement"]``). The creep of a sheet that slips late or early is
+    shortened accordingly.
 
-    Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
-    picture they include unequal pixels, unequal magnification and static dirt and, with the publication's
-    fit, its shift towards whole pixels.  They include what a sheet does by itself in every stick: steady
-    movement that slips do not return, of which it cannot be told whether the pull causes it, and bends that
-    other sheets do not show.  The errors exclude that of the pixel size.
-    Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
-    positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
-    zero.
-    An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
-    of their ratio contains only the part that results from an unsteady pull or creep. Sheets that slip in
-    turn may creep or rest while they wait, which is an error of both (``clock.slip_spread_ms``).
+    Errors follow from the residuals of each sheet and their autocorrelation. They include unequal pixels,
+    unequal magnification and static dirt, with the publication's fit its shift towards whole pixels, and what
+    a sheet does by itself in every stick: steady movement that slips do not return, and bends that other
+    sheets do not show. They exclude that of the pixel size. Of films whose codec predicts frames from others
+    (H.264), the noise is at least the stated error of the positions. An error of the ends of a stick changes
+    σ_x and Λ_st by the same factor; that of their ratio contains only the part from an unsteady pull or
+    creep, and from sheets that slip in turn (``clock.slip_spread_ms``).
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -207,12 +203,8 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
     within = (start >= first - interval_s) & (stop <= last + interval_s) & (stop > start)
     if not within.any():
         span = f"{start.min():.3f} to {stop.max():.3f} s" if len(sticks) else "no stick phase at all"
-        raise InputError(
-            source,
-            f"stick phases between {first:.3f} and {last:.3f} s of the force clock, when the video ran",
-            span,
-            "check `force` and `offset_s`",
-        )
+        wanted = f"stick phases between {first:.3f} and {last:.3f} s of the force clock, when the video ran"
+        raise InputError(source, wanted, span, "check `force` and `offset_s`")
     if not np.isfinite(sticks.loc[within, "stick_length_um"].to_numpy(float)).any():
         found = "no displacement in the force recording"
         raise InputError(source, "stick lengths", found, "give `speed_mm_min`")
@@ -250,8 +242,7 @@ def _uninterrupted(
 
 def _between_slips(clock: Clock, after_s: Floats, before_s: Floats) -> tuple[Floats, Floats]:
     """Times of the film's last slip up to `after_s` that the force lacks, and of the first from `before_s`
-    on, s, of each stick; infinite without one. Where the clock is wrong they are the true ends of the stick.
-    Frames beyond them belong to another one."""
+    on, s, of each stick; infinite without one. Frames beyond them belong to another stick."""
     times = np.sort(clock.only_video_s)
     first = np.r_[-np.inf, times][np.searchsorted(times, after_s, side="right")]
     last = np.r_[times, np.inf][np.searchsorted(times, before_s)]
@@ -543,10 +534,9 @@ def _length_errors(
 ) -> tuple[Floats, Floats]:
     """Relative errors from the ends of each stick, (stick,): of σ_x, and of σ_x/Λ_st.
 
-    Wrong ends of a stick change σ_x and Λ_st by the same factor if the pull and the creep are steady. The
-    error of the ratio is therefore only the part by which the pull is unsteady and the part by which the
-    sheets creep faster or slower near the ends (`end_slope`). Sheets that slip in turn may rest while
-    they wait: `resting` is the share of the stick in which they may not creep.
+    Wrong ends change both by the same factor if the pull and the creep are steady. The error of the ratio is
+    the part by which they are not (`end_slope` for the creep), and `resting`, the share of the stick in which
+    sheets that slip in turn may not creep.
     """
     length = events["stick_length_um"].to_numpy(float)
     stated_um = events["stick_length_err_um"].to_numpy(float) if "stick_length_err_um" in events else 0.0

@@ -21,24 +21,11 @@ from vision.data import (
     record,
 )
 from vision.errors import InputError, check_positive, check_within
-from vision.force.corners import (
-    Corners,
-    Extremes,
-    find_corners,
-    find_extremes,
-    is_slow,
-)
+from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import flags_of, is_compression
-from vision.force.regime import (
-    Regime,
-    doubts,
-    find_regime,
-    is_unloading,
-    lasting_falls,
-    speed_warnings,
-)
+from vision.force.regime import Regime, doubts, find_regime, is_unloading, lasting_falls, speed_warnings
 from vision.force.settings import ForceSettings
 from vision.force.signal import (
     Signal,
@@ -200,11 +187,8 @@ def _without_ringing(
 def _without_swings(
     signal: Signal, slips: Slips, calm: tuple[Signal, Slips], settings: ForceSettings
 ) -> tuple[Signal, Slips]:
-    """Return the slips without those that are swings of the load, and the signal with the ringing as noise.
-
-    Slips are only those that the mean over a period, `calm`, shows as well, where that shows another number:
-    each swing falls, too, and many of them look like noise, which hides the slips.
-    """
+    """Return the slips without those that are swings of the load, and the signal with the ringing as noise:
+    only those that the mean over a period, `calm`, shows as well, where that shows another number."""
     averaged, seen = calm
     if _as_many(slips, seen):
         return signal, slips
@@ -222,9 +206,8 @@ def _slips_in_smooth_noise(
 ) -> tuple[Signal, Slips] | None:
     """Return the samples as far apart as a filter has smoothed the noise, and the slips in them.
 
-    Samples between add nothing, and noise that is white is told from slips. All samples are returned, with
-    this noise, where a low-pass is given or the transients after slips prove one, which need them. None where
-    samples are not alike, or where too few would be left in a stick.
+    All samples are returned, with this noise, where a low-pass is given or the transients after slips prove
+    one, which need them. None where samples are not alike, or where too few would be left in a stick.
     """
     every = smoothed_samples(signal.clean, settings)
     if every == 1:
@@ -265,29 +248,20 @@ def _check_load(signal: Signal, source: str, rings: str, settings: ForceSettings
     """Raise InputError for a load in compression, or with too many spikes.  rings: that the load rings."""
     # A negative load that falls suddenly is a pull whose load cell was zeroed under load.
     if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
-        raise InputError(
-            source,
-            "a pull (positive load)",
-            f"a median load of {np.median(signal.load):.3g}",
-            "if tension counts negative on this machine give `columns` load=-NAME",
-        )
+        wanted = "a pull (positive load)"
+        advice = "if tension counts negative on this machine give `columns` load=-NAME"
+        raise InputError(source, wanted, f"a median load of {np.median(signal.load):.3g}", advice)
     if signal.is_spike.mean() > settings.most_spikes:
         if rings:
             raise InputError(source, "stick-slip", f"{100 * signal.is_spike.mean():.0f} % of spikes", rings)
-        raise InputError(
-            source,
-            f"at most {100 * settings.most_spikes:g} % of spikes",
-            f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            "record more samples per second: 30 or more in each stick, and several in each ringing",
-        )
+        found = f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample"
+        advice = "record more samples per second: 30 or more in each stick, and several in each ringing"
+        raise InputError(source, f"at most {100 * settings.most_spikes:g} % of spikes", found, advice)
 
 
 def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> InputError:
     """Return the error for fewer than two slips, whose cause is the average, ringing, sampling or threshold.
-
-    Sticks of a few samples rise by most steps from sample to sample, and falls are frequent. The median step
-    of noise is near 0, and a break at the end of a test falls once.
-    """
+    Sticks of a few samples rise by most steps from sample to sample, and falls are frequent."""
     if signal.averaged and not rings:
         return InputError(
             source,
@@ -340,19 +314,13 @@ def _check_times(force: xr.Dataset, source: str) -> None:
 def _check_direction(events: pd.DataFrame, unloading: Bools, source: str) -> None:
     """Raise InputError where the crosshead goes back in all falls of the load, or in the sticks."""
     if unloading.all():
-        raise InputError(
-            source,
-            "stick-slip: the force falls while the crosshead goes on",
-            f"{unloading.size} falls, all while it goes back: push–pull cycles",
-        )
+        wanted = "stick-slip: the force falls while the crosshead goes on"
+        raise InputError(source, wanted, f"{unloading.size} falls, all while it goes back: push–pull cycles")
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
     if stick_length < 0:
-        raise InputError(
-            source,
-            "a crosshead that goes on while the load rises",
-            f"one that goes back, by {-stick_length:.3g} µm in a stick",
-            "if the displacement counts the other way give `columns` displacement=-NAME",
-        )
+        wanted = "a crosshead that goes on while the load rises"
+        advice = "if the displacement counts the other way give `columns` displacement=-NAME"
+        raise InputError(source, wanted, f"one that goes back, by {-stick_length:.3g} µm in a stick", advice)
 
 
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
@@ -361,12 +329,9 @@ def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None
         if lowpass_s != "auto":
             raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")
     elif not 0 <= lowpass_s < period_s:
-        raise InputError(
-            source,
-            f"a time constant from 0 to the time between slips, {period_s:.3g} s",
-            f"{lowpass_s:g} s",
-            "give `lowpass_s` in seconds, or auto to have it found",
-        )
+        wanted = f"a time constant from 0 to the time between slips, {period_s:.3g} s"
+        found = f"{lowpass_s:g} s"
+        raise InputError(source, wanted, found, "give `lowpass_s` in seconds, or auto to have it found")
 
 
 @dataclass(frozen=True)
@@ -417,11 +382,8 @@ def _analyse_slips(
 
 
 def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings: ForceSettings) -> Extremes:
-    """Return the extremes of the load before it was averaged twice.
-
-    The averages begin to fall by the averaged time before a sudden slip, but at first more slowly than the
-    stick goes on rising: as it rises in as much time before that, or as its line in sticks too short for it.
-    """
+    """Return the extremes of the load before it was averaged twice: the averages begin to fall by the
+    averaged time before a sudden slip, but at first more slowly than the stick goes on rising."""
     lines = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
     average_s = signal.averaged * signal.interval_s
     slip_s = signal.time_at(np.asarray(slips.edge - 0.5, np.float64))
@@ -452,10 +414,7 @@ def _slips(signal: Signal, threshold_N: float | None, settings: ForceSettings) -
 
 
 def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Return the slips, which are searched in the load without hum, and the signal with the hum as noise.
-
-    All that is measured afterwards is measured on the load as recorded.
-    """
+    """Return the slips, which are searched in the load without hum, and the signal with the hum as noise."""
     # Averages contain little hum, and their noise is not white.
     hum = [] if signal.averaged else find_hum(signal.clean, settings)
     while True:
@@ -475,11 +434,8 @@ def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSett
 
 
 def _above_swings(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Leave out drops that are swings of smoothed noise, whose size is then that of the noise.
-
-    Most swings are as slow as the rises beside them, and a gap in the sizes separates them from slips; the
-    noise is then the scatter about the stick lines.
-    """
+    """Leave out drops that are swings of smoothed noise: most are as slow as the rises beside them, and a gap
+    in the sizes separates them from slips. The noise is then the scatter about the stick lines."""
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
     if small.any():
@@ -492,11 +448,9 @@ def _above_swings(signal: Signal, slips: Slips, settings: ForceSettings) -> tupl
 
 
 def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Return the slips that exceed noise that is not white, and the signal with that noise measured again.
-
-    A slip exceeds four errors of the drop between two lines: five with the lines found first, or four once
-    the drops of the noise are gone.
-    """
+    """Return the slips that exceed noise that is not white, and the signal with that noise measured again: by
+    four errors of the drop between two lines once the drops of the noise are gone, or five with the lines
+    found first."""
     keep = np.ones(slips.edge.shape, dtype=bool)
     while signal.slow is not None:
         # Drops of the noise cut the sticks short. Without them the lines are longer, the noise is known
@@ -683,10 +637,8 @@ def _all_flags(
 
 def _without_fall(y: Floats, slips: Slips, length: Floats, settings: ForceSettings) -> Bools:
     """Return at which slips the load does not fall: within a slip's length, six samples at least, it is
-    nowhere lower by `least_fall` of the drop than before.
-
-    An impulse of a few samples tilts a line of its stick, which is then divided in the middle of its rise.
-    """
+    nowhere lower by `least_fall` of the drop than before. An impulse of a few samples tilts a line of its
+    stick, which is then divided in the middle of its rise."""
     reach = np.clip(np.ceil(length), 6, None).astype(np.int64)
     before, edge = np.maximum(slips.edge - reach, 0), np.maximum(slips.edge, 1)
     after = np.minimum(edge + reach, y.size)

@@ -515,12 +515,8 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     found = [match for line in short if (match := _SUFFIXED.match(line))]
     plain = [line for line in short if re.fullmatch(_Style(";", ".").number, line.strip())]
     if max(len(found), len(plain)) < LEAST_ROWS:
-        raise InputError(
-            path,
-            "columns of numbers (time, load, displacement)",
-            "no three lines of numbers in a row",
-            _ADVICE,
-        )
+        wanted = "columns of numbers (time, load, displacement)"
+        raise InputError(path, wanted, "no three lines of numbers in a row", _ADVICE)
     facts = {"layout": "one column", "encoding": encoding, "separator": "none", "decimal": "."}
     with_unit = len(found) >= len(plain)
     numbers = [float(match["number"]) for match in found] if with_unit else [float(line) for line in plain]

@@ -40,15 +40,7 @@ from vision.models.single_fits import (
     with_friction,
 )
 from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
-from vision.sample import (
-    LEAST_GPA,
-    LEAST_MU,
-    MOST_GPA,
-    MOST_MU,
-    PUBLISHED,
-    Sample,
-    is_plausible_modulus,
-)
+from vision.sample import LEAST_GPA, LEAST_MU, MOST_GPA, MOST_MU, PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
 _SUSPECTS = "check `d0_mm`, the sample's geometry and the load's zero"
@@ -109,11 +101,10 @@ def fit_models(
     The first fit gives μ. K depends on μ and N-hat through Lambda-hat alone, so Lambda-hat and Y_eff are
     fitted and N-hat follows. Where sticks have a knee, K is the slope after it. Peaks and drops are weighted
     by their size, to which their scatter is proportional; K is weighted by its errors. Standard errors follow
-    from the residuals (White's covariance), so they are valid for any size of the scatter; they are
-    multiplied by the root of chi2_dof if that exceeds 1. Systematic errors are the changes of the parameters
-    when d0 and the geometry change by their errors, and when the load cell drifts, over the test, by as much
-    as T0 or as a term linear in d that fits the peaks beside T0 (the larger one, at most 10 N).
-    Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
+    from the residuals (White's covariance), multiplied by the root of chi2_dof if that exceeds 1. Systematic
+    errors are the changes of the parameters when d0 and the geometry change by their errors, and when the
+    load cell drifts, over the test, by as much as T0 or as a term linear in d that fits the peaks beside T0
+    (the larger one, at most 10 N). Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
     check_kind(pd.DataFrame, "what `vision.find_stick_slip` returns", sticks=sticks)
@@ -292,12 +283,8 @@ def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> 
             advice = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm: {_read_as(force)}"
         if "flag" in sticks and len(sticks) - whole_events(sticks["flag"]).sum() > len(events):
             advice = "most have a flag, which tells why"
-        raise InputError(
-            "the force recording",
-            f"at least {given.settings.least_events} whole events with d, F_p, dF and K",
-            f"{len(events)} of {len(sticks)}",
-            advice,
-        )
+        wanted = f"at least {given.settings.least_events} whole events with d, F_p, dF and K"
+        raise InputError("the force recording", wanted, f"{len(events)} of {len(sticks)}", advice)
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
     from_zero = low < 0.1 * high  # no pull makes the separation ten times as large
     if from_zero or high >= given.sample.length_mm:
@@ -353,9 +340,8 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
     """Index of the first event from which Eq. 1 fits the peaks, at the beginning and over the whole range.
 
     Starts from the maximum of the peaks (`top`) to half of the later events are tried. If none fits, they are
-    tried less strictly, so that peaks with slightly correlated scatter do not leave in the whole build-up: at
-    a correlation of 0.4, a third of the errors of μ contain the truth, without it 6 %. If still none fits,
-    the result is `top`.
+    tried less strictly, so that peaks with slightly correlated scatter do not leave in the whole build-up; if
+    still none fits, the result is `top`.
     """
     count = len(events) - top
     steps = np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count
@@ -626,10 +612,9 @@ def _settling(
 def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
     """Median share of ΔF by which the force rises again during a slip; 0 if sticks are straight.
 
-    In sticks with a knee, or that begin steeply, the force rises fastest right after a slip, as from the
-    lowest sample to those after it. The rise before the recorded valley is lost: it lasts as long as the slip
-    and the delay of the load cell, at least one sample, and cannot be recovered by a line through later
-    samples. At the lowest sample the rise and the tail of a low-pass cancel, so the next two steps count too.
+    In sticks with a knee, or that begin steeply, the force rises fastest right after a slip. The rise before
+    the recorded valley is lost: it lasts as long as the slip and the delay of the load cell, at least one
+    sample. At the lowest sample the rise and the tail of a low-pass cancel, so the next two steps count too.
     """
     facts = StickMetadata.of(events)
     if not facts.two_slopes and not facts.bend_share < 0:

@@ -58,25 +58,13 @@ class FrictionSettings(Tunable):
 def disc_friction(
     torque_N_m: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
 ) -> Floats:
-    r"""Friction coefficient of two discs from their torque, if the whole area slides at uniform pressure.
+    r"""Friction coefficient of two discs of radius R from their torque, if the whole area slides at uniform
+    pressure; NaN where the normal force is not positive.
 
-    Parameters
-    ----------
-    torque_N_m, normal_force_N
-        Torque and normal force; they broadcast.
-    radius_mm
-        Radius R of the discs.
-
-    Returns
-    -------
-    Friction coefficient; NaN where the normal force is not positive.
-
-    Notes
-    -----
     .. math:: \tau = \int_0^R \mu \frac{N}{\pi R^2}\, 2\pi r^2\, dr = \tfrac{2}{3}\mu N R,
               \qquad \mu = \frac{3}{2}\frac{\tau}{R N}
 
-    Source: appendix "Single sheets characterization".
+    Torque and normal force broadcast. Source: appendix "Single sheets characterization".
     """
     load = np.asarray(normal_force_N, float)
     usable = np.where(load > 0, load, np.nan)
@@ -117,12 +105,8 @@ def _curve(
     else:
         load, error = _running_load(rotation, settings)
     if (load <= 0).any() or not np.isfinite(load).all():
-        raise InputError(
-            about,
-            "a compressive normal force all along",
-            f"{load.min():.3g} to {load.max():.3g} N",
-            "give `normal_force_N`",
-        )
+        wanted = "a compressive normal force all along"
+        raise InputError(about, wanted, f"{load.min():.3g} to {load.max():.3g} N", "give `normal_force_N`")
     torque = rotation["torque_N_m"].to_numpy(float)
     return pd.DataFrame(
         {
@@ -182,10 +166,9 @@ def friction_of_disc(
     -------
     DiscFriction
         μ_s is the first maximum of μ(φ): the height of a parabola through the surrounding samples, if one
-        fits them within the noise, else the highest sample of a sharp peak, whose error then includes half
-        the step to the neighbouring sample. μ_d is the mean over the angle (not over the samples, which may
-        be unevenly spaced) from 0.3° to 120°; its error follows from the scatter of block means. The errors
-        include that of a measured N. Sheets differ from each other by more than these errors.
+        fits them within the noise, else the highest sample of a sharp peak. μ_d is the mean over the angle
+        from 0.3° to 120°; its error follows from the scatter of block means. The errors include that of a
+        measured N. Sheets differ from each other by more than these errors.
 
     Raises
     ------
@@ -195,8 +178,8 @@ def friction_of_disc(
 
     Notes
     -----
-    If slip starts at the rim, the static value is 0.75 times the true one: `RIM_CAVEAT`.
-    Source: appendix "Single sheets characterization".
+    If slip starts at the rim, the static value is 0.75 times the true one: `RIM_CAVEAT`. Source: appendix
+    "Single sheets characterization".
     """
     facts = RotationMetadata.of(rotation)
     curve = _curve(rotation, radius_mm, normal_force_N, settings)
@@ -204,11 +187,9 @@ def friction_of_disc(
     low, high = settings.dynamic_deg
     inside = (angle >= low) & (angle <= high)
     if int(inside.sum()) < settings.blocks:
-        raise InputError(
-            f"{facts.source}: {facts.measurement}",
-            f"{settings.blocks} samples between {low:g}° and {high:g}°",
-            f"{int(inside.sum())} (rotation from 0° to {angle.max():.3g}°)",
-        )
+        wanted = f"{settings.blocks} samples between {low:g}° and {high:g}°"
+        found = f"{int(inside.sum())} (rotation from 0° to {angle.max():.3g}°)"
+        raise InputError(f"{facts.source}: {facts.measurement}", wanted, found)
     mean_load = float(curve["N_N"].to_numpy()[inside].mean())
     load_err = 0.0
     if normal_force_N is None:
@@ -279,12 +260,9 @@ def _first_maximum(
 
 
 def _peak_height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
-    """Height of the peak and its error.
-
-    The widest parabola of at most 41 samples that fits within the noise averages most. Only 0.6 of its width
-    is used, because a bias just hidden by the noise increases with the cube of the width. If even the
-    narrowest parabola does not fit, the peak is sharp and the error is half a step between samples.
-    """
+    """Height of the peak and its error: of the widest parabola of at most 41 samples that fits within the
+    noise, of which 0.6 is used, as a bias just hidden by the noise increases with the cube of the width. If
+    even the narrowest does not fit, the peak is sharp and the error is half a step between samples."""
     reach = min(peak, mu.size - 1 - peak, 20)
     fitting = [half for half in range(2, reach + 1) if _parabola(mu, peak, half, noise)[2]]
     if noise > 0 and fitting:
@@ -378,8 +356,7 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
 
     .. math:: \sigma_b^2 = \left(\sigma_c^2 + b^2\sigma_a^2 - 2b\,\sigma_{ac}\right)/a^2 .
 
-    The errors of single measurements do not include the differences between sheets. Therefore all errors are
-    scaled by the square root of χ²/dof if that is above 1.
+    All errors are scaled by the square root of χ²/dof if that is above 1, as sheets differ from each other.
     """
     load, mu = np.asarray(N_N, float), np.asarray(mu_s, float)
     error = np.full(mu.shape, np.nan) if mu_s_err is None else np.asarray(mu_s_err, float)

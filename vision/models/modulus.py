@@ -106,11 +106,9 @@ CYCLES = Schema(
 
 
 def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()) -> Ints:
-    """Indices of the samples at which a displacement reverses, including the first and the last sample.
-
-    The indices increase and alternate between minima and maxima; they are [0, last] for a displacement that
-    only increases. The displacement must not contain NaN; noise and steps of the resolution are smoothed.
-    """
+    """Indices of the samples at which a displacement reverses, including the first and the last sample; they
+    alternate between minima and maxima. The displacement must not contain NaN; noise and steps of the
+    resolution are smoothed."""
     raw = np.asarray(displacement, float)
     last = raw.size - 1
     if raw.size < 5 or float(np.ptp(raw)) == 0:
@@ -168,8 +166,7 @@ def measure_cycles(
         Δ at the first sample. By default the displacement is Δ itself if its median differs from L by less
         than L/2, else that of a crosshead that is 0 at Δ = L; a note states which.
     machine_stiffness_N_per_mm
-        Stiffness of frame, load cell and clamps together; F divided by it is subtracted from Δ. No correction
-        if absent.
+        Stiffness of frame, load cell and clamps together; F divided by it is subtracted from Δ.
     settings
         See `ModulusSettings`.
 
@@ -193,11 +190,10 @@ def measure_cycles(
         Y_p = \frac{k\Delta_0}{\epsilon W} = \frac{|F_0|}{\epsilon W}, \qquad \Delta_0 = -F_0/k
 
     The publication prints Δ0 = k/F0, which has the wrong dimension. The slope and the length also give a
-    modulus, kL/(εW).
-    F0 is extrapolated from strains of a few per cent to Δ = 0, over the whole length of the sheet, so k and
-    F0 have nearly the same relative error. Residuals with a correlation ρ between samples enlarge the errors
-    by √((1 + ρ)/(1 − ρ)). An error of Δ enters in full: 1 % of L is 1 % of Y_p.
-    Source: appendix "Single sheets characterization".
+    modulus, kL/(εW). F0 is extrapolated from strains of a few per cent to Δ = 0, so k and F0 have nearly the
+    same relative error, and an error of Δ enters in full: 1 % of L is 1 % of Y_p. Residuals with a
+    correlation ρ between samples enlarge the errors by √((1 + ρ)/(1 − ρ)). Source: appendix "Single sheets
+    characterization".
     """
     machine = machine_stiffness_N_per_mm
     check_positive(machine_stiffness_N_per_mm=machine)
@@ -220,12 +216,8 @@ def measure_cycles(
         line = _line(delta[fitted], load[fitted], sheet)
         rows.append(line | _unloading(cycles, start, stop, following, sheet) | times | fit)
     if not rows:
-        raise InputError(
-            source,
-            f"loading branches with {settings.least_samples} samples on the fitted part of their rise",
-            "none",
-            "is tension negative, or the recording too coarse?",
-        )
+        wanted = f"loading branches with {settings.least_samples} samples on the fitted part of their rise"
+        raise InputError(source, wanted, "none", "is tension negative, or the recording too coarse?")
     if (least := min(row["k_N_per_mm"] for row in rows)) <= 0:
         advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"
         found = f"a slope of {least:.3g} N/mm"
@@ -450,11 +442,8 @@ class MeanValue(Estimate):
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
-    """Mean of a column of `measure_cycles`, such as "Y_p_GPa", over the cycles.
-
-    All cycles have equal weights. The error is the larger of the scatter over √n and the error from those of
-    the fits; with one cycle the scatter is NaN.
-    """
+    """Mean of a column of `measure_cycles`, such as "Y_p_GPa", over the cycles, with equal weights. The error
+    is the larger of the scatter over √n and that of the fits; with one cycle the scatter is NaN."""
     CYCLES.check(cycles)
     values = cycles[column].to_numpy(float)
     values = values[np.isfinite(values)]

@@ -96,16 +96,15 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     ----------
     path
         RheoCompass export (Anton Paar; UTF-16 or UTF-8; tab, semicolon or comma; several results and
-        intervals), or a plain table whose header names torque and angle with their units, as in
-        ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
-        °; N, mN.
+        intervals), or a plain table whose header names torque and angle with their units, as in ``Torque
+        [mN·m]``. Units: mN·m, µN·m, N·m; mrad, rad, °; N, mN.
 
     Returns
     -------
     list of pandas.DataFrame
-        One per measurement in file order, columns as in `ROTATION`: time in s, angle in rad, torque in N m
-        and, if recorded, the normal force in N (NaN where a cell is empty). The angle starts at 0. Angle and
-        torque are positive in the direction of the rotation. ``attrs`` as in `RotationMetadata`.
+        One per measurement in file order, columns as in `ROTATION` (NaN in the normal force where a cell is
+        empty). The angle starts at 0. Angle and torque are positive in the direction of the rotation.
+        ``attrs`` as in `RotationMetadata`.
 
     Raises: InputError if the file is missing, empty or binary, or no part of it has a torque with a known
     unit and a rotation.
@@ -302,12 +301,9 @@ def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] 
     unit = _unit(block.units[k]) or quantity.default_unit
     if unit not in quantity.units:
         written = f'"{block.units[k]}"' if unit else "no unit"
-        raise InputError(
-            path,
-            f'a unit of "{block.names[k]}" among {", ".join(quantity.units)}',
-            written,
-            f"write it in the header, as in {block.names[k]} [{next(iter(quantity.units))}]",
-        )
+        wanted = f'a unit of "{block.names[k]}" among {", ".join(quantity.units)}'
+        advice = f"write it in the header, as in {block.names[k]} [{next(iter(quantity.units))}]"
+        raise InputError(path, wanted, written, advice)
     return _numbers(block.cells.iloc[:, k]) * quantity.units[unit]
 
 
