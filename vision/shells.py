@@ -107,10 +107,10 @@ def classify_shells(
     """Estimate the size of the stiff inner shell of each side in each stick phase.
 
     The ratio is expected not to decrease with n. Some thousand increasing profiles, from power laws to steps,
-    are weighted by how well they fit all sheets on one side. True ratios are drawn about them, the nearer to
-    the measurement of a sheet the smaller its error, and those below the threshold are counted in each draw.
-    The size is the median; the interval contains the share `certainty` of the draws. The errors of the stick
-    length and of the camera movement are common to all sheets of an event.
+    are weighted by how well they fit all sheets on one side. True ratios are drawn about them, and those
+    below the threshold are counted in each draw. The size is the median; the interval contains the share
+    `certainty` of the draws. The errors of the stick length and of the camera movement are common to all
+    sheets of an event.
 
     Parameters
     ----------
@@ -121,14 +121,10 @@ def classify_shells(
 
     Returns
     -------
-    A table with one row per event and side, and the columns
-
-    - event, d_v_mm, side;
-    - stiff_sheets, stiff_low, stiff_high: missing (<NA>) with fewer than three ratios on that side; unknown
-      sheets inside a shell count as part of it;
-    - M_eff_model: NaN without a model;
-    - monotone: False if the ratio decreases significantly with n (isotonic regression);
-    - sheets_known: number of sheets with a ratio.
+    A table with one row per event and side, and the columns event, d_v_mm, side; stiff_sheets, stiff_low,
+    stiff_high (missing (<NA>) with fewer than three ratios on that side; unknown sheets inside a shell count
+    as part of it); M_eff_model (NaN without a model); monotone (False if the ratio decreases significantly
+    with n, by isotonic regression); and sheets_known (number of sheets with a ratio).
 
     Raises
     ------
@@ -165,11 +161,7 @@ def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: Shel
             name: pd.Series(count).astype("Int64").where(known >= 3)  # fewer are no profile
             for name, count in zip(names, sizes, strict=True)
         }
-        | {
-            "M_eff_model": np.nan,
-            "monotone": isotonic(side, settings.significance)[1],
-            "sheets_known": known,
-        }
+        | {"M_eff_model": np.nan, "monotone": isotonic(side, settings.significance)[1], "sheets_known": known}
     )
 
 
@@ -244,12 +236,9 @@ def shell_sizes(
     r"""Number of stiff sheets of one side, (event,): median and ends of the shortest interval.
 
     Profile :math:`j` has the weight :math:`\exp(-\tfrac12 \sum_n (r_n - p_j(n))^2 / s_n^2)`, where
-    :math:`s_n` combines the error of the ratio :math:`r_n` and the scatter of sheets about a profile.
-    Profiles are drawn by their weights, true ratios are drawn about them given the measurements, and those
-    below the threshold are counted. Stick lengths and camera movement are varied by their errors, for all
-    sheets together.
-
-    If the ratio decreases significantly with n, all sheets of the event are counted by their own measurement.
+    :math:`s_n` combines the error of the ratio :math:`r_n` and the scatter of sheets about a profile. Stick
+    lengths and camera movement are varied by their errors, for all sheets together. If the ratio decreases
+    significantly with n, all sheets of the event are counted by their own measurement.
     """
     profiles = _Profiles.crossing(tuple(side.n), threshold)
     sheets = _Ratios.of(side, threshold, settings)
@@ -284,10 +273,9 @@ class _Profiles:
         """Profiles at the sheets' numbers n, from the centre outwards, that cross the threshold t at n = b.
 
         They are t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: constant up to b - a, then a
-        power law that saturates at a ceiling C. They include, nearly or exactly, power laws through the
-        centre (a = b, c = 0), constant cores with a linear increase (q = 1), steps (small a, low ceiling) and
-        sigmoids. All b from inside the innermost to beyond the outermost sheet are equally frequent; the step
-        is half a sheet unless there are very many sheets.
+        power law that saturates at a ceiling C. They include power laws through the centre (a = b, c = 0),
+        constant cores with a linear increase (q = 1), steps (small a, low ceiling) and sigmoids. All b from
+        inside the innermost to beyond the outermost sheet are equally frequent.
         """
         n = np.array(sheets)
         step = max(0.5, (n[-1] - n[0]) / 120)

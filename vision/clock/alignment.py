@@ -1,13 +1,11 @@
 """Alignment of two trains of slips, the camera's and the load cell's.
 
-A train is the sequence of slips that one instrument detected. An alignment is a clock (an offset and a drift)
-that maps the camera's slips onto the machine's. Candidates are found by voting for offsets, refined by least
-squares, and ranked by their log-likelihood. The model: within the time that both trains cover, every camera
-slip is either a slip of the force, with a Gaussian error, or false; every slip of the force is seen or
-missed. Where both instruments measured the sizes of the slips, the sizes count too.
-
-Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the right one, and
-unrelated trains can agree by chance: `align_slips` tests for both.
+An alignment is a clock (an offset and a drift) that maps the camera's slips onto the machine's. Candidates
+are found by voting for offsets, refined by least squares, and ranked by their log-likelihood. The model:
+within the time that both trains cover, every camera slip is either a slip of the force, with a Gaussian
+error, or false; every slip of the force is seen or missed. Where both instruments measured the sizes of the
+slips, these count too. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well
+as the right one, and unrelated trains can agree by chance: `align_slips` tests for both.
 """
 
 from __future__ import annotations
@@ -27,11 +25,8 @@ from vision.signals import running_median
 
 @dataclass(frozen=True)
 class SlipSizes:
-    """Sizes of the slips of a train, relative to their neighbours.
-
-    The steps of the sheets and the drops of the force both decrease slowly through a test, at any offset.
-    Therefore only the difference of a slip from its neighbours is evidence.
-    """
+    """Sizes of the slips of a train, relative to their neighbours: the steps of the sheets and the drops of
+    the force both decrease slowly through a test, at any offset."""
 
     # Standard scores about the trend, (slips,), clipped to ±2 because merged slips and dust give outliers;
     # NaN where not known.
@@ -89,9 +84,8 @@ class SlipTrains:
     def pair_gain(self, settings: ClockSettings) -> Floats:
         """Log-likelihood gain of a pair with zero residual over two unpaired slips, (video slips,).
 
-        The gain is limited, however precise both times are. Otherwise one more slip at the end of an even
-        train would decide between shifts by a whole slip, although it is chance which slip is seen first or
-        last.
+        It is limited, however precise both times are: otherwise one more slip at the end of an even train,
+        which is seen by chance, would decide between shifts by a whole slip.
         """
         # The 1 is the cost of the presence of an unrelated slip (a Poisson process: rate times time).
         density = 1 + np.log(self.period_s / (self.error_s * np.sqrt(2 * np.pi)))
@@ -183,11 +177,8 @@ def fit_clocks(
 
 
 def _in_common_time(trains: SlipTrains, mapped_s: Floats) -> tuple[Ints, Ints]:
-    """Numbers of camera and of force slips from the later first slip to the earlier last one, (K,) each.
-
-    The common time is that of the slips, not of the recordings, because the first or last slips of a train
-    may be too small to be detected.
-    """
+    """Numbers of camera and of force slips from the later first slip to the earlier last one, (K,) each. The
+    first or last slips of a train may be too small to be detected."""
     slack = 3 * trains.typical_error_s
     start = np.maximum(mapped_s[:, 0], trains.force_s[0]) - slack
     stop = np.minimum(mapped_s[:, -1], trains.force_s[-1]) + slack
@@ -201,10 +192,9 @@ def size_evidence(
 ) -> Floats:
     """Log-likelihood ratio of the sizes of paired slips: slips that belong together to unrelated ones, (K,).
 
-    The likelihood is averaged over the correlations that the sizes may have, including none. With the
-    default settings one pair adds at most 1 and subtracts at most 1.6, and all pairs together subtract at
-    most 2.3. The result is 0 where the sizes of either train do not vary beyond their errors.  partner: index
-    of the force slip of each camera slip, -1 where not paired, (K, video slips).
+    The likelihood is averaged over the correlations that the sizes may have, including none. The result is 0
+    where the sizes of either train do not vary beyond their errors.  partner: index of the force slip of each
+    camera slip, -1 where not paired, (K, video slips).
     """
     v = np.broadcast_to(video.score, partner.shape)
     f = force.score[np.maximum(partner, 0)]
@@ -245,9 +235,8 @@ def find_alignments(
 def _vote(trains: SlipTrains, settings: ClockSettings) -> CandidateClocks:
     """The offsets with the highest scores over all drifts.
 
-    The work grows with the third power of the number of slips: with the pairs, and with the drifts that a
-    longer train can tell apart. A long train therefore votes in parts, each for the offsets at its own
-    middle, which `_refine` extends to the whole train.
+    The work grows with the third power of the number of slips, so a long train votes in parts, each for the
+    offsets at its own middle, which `_refine` extends to the whole train.
     """
     slips = np.arange(len(trains.video_s))
     parts = np.array_split(slips, -(-slips.size // settings.voting_slips))
@@ -290,10 +279,7 @@ def _vote_of_part(trains: SlipTrains, settings: ClockSettings) -> Floats:
 
 
 def _bin_s(trains: SlipTrains) -> float:
-    """Width of a bin of offsets, s; a vote counts for its bin and both neighbours.
-
-    Bins finer than a sixtieth of a period would only cost time, because the offsets are refined later.
-    """
+    """Width of a bin of offsets, s; a vote counts for its bin and both neighbours."""
     return max(1.5 * trains.typical_error_s, trains.period_s / 60)
 
 
@@ -325,10 +311,8 @@ def _offset_scores(
 
 
 def _refine(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) -> CandidateClocks:
-    """Refine clocks by robust least squares on the pairs of nearest slips.
-
-    The errors are at first as wide as the bins of the vote, and narrow down to those of the slips.
-    """
+    """Refine clocks by robust least squares on the pairs of nearest slips, with errors that narrow down from
+    the bins of the vote to those of the slips."""
     v, full_weight = trains.video_s, trains.error_s**-2.0
     widest = 1.4 * _bin_s(trains) / trains.typical_error_s
     for widening in np.r_[np.geomspace(widest, 1.0, 4), 1.0, 1.0]:
@@ -396,10 +380,9 @@ def align_slips(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -
     - its log-likelihood exceeds the next one's by `least_margin` (by twice that if it is not far above that
       of unrelated slips or if the sizes disagree; by more if errors had to be widened);
     - intervals or sizes are uneven enough to exclude a shift by one slip;
-    - neighbouring residuals are uncorrelated, unlike those of unrelated even trains, whose offset changes
-      smoothly, and those after lost frames, which all shift;
-    - no other offset fits the slips before or after some time much better, as it does if about as much as a
-      whole slip is lost there.
+    - neighbouring residuals are uncorrelated, unlike those of unrelated even trains and those after lost
+      frames;
+    - no other offset fits the slips before or after some time much better, as where a whole slip is lost.
     """
     clocks, fits = find_alignments(trains, settings)
     likelihood = fits.log_likelihood
@@ -449,11 +432,8 @@ def _ambiguity(
 
 
 def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSettings) -> float:
-    """Log-likelihood that a shift by one slip loses by the scatter of the intervals alone.
-
-    Such a shift moves each slip by the difference of one interval from the mean one. The scatter is that of
-    the changes from one interval to the next about their median, so that a trend is no evidence.
-    """
+    """Log-likelihood that a shift by one slip loses by the scatter of the intervals alone: it moves each slip
+    by the difference of one interval from the mean one. A trend of the intervals is no evidence."""
     paired = np.unique(fits.partner[0][fits.partner[0] >= 0])
     interval = np.diff(trains.force_s[paired])
     comparable = np.abs(np.diff(np.log(interval))) < 0.5  # else a slip is missed or false between them
@@ -470,11 +450,8 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
 
 
 def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) -> str:
-    """Whether the slips before or after some time fit another offset much better; "" if they do not.
-
-    Where a recording loses as much as one slip, those beyond pair with their neighbours nearly as well, and
-    the clock's rate changes to make them fit.
-    """
+    """Whether the slips before or after some time fit another offset much better; "" if they do not. Where a
+    recording loses as much as one slip, those beyond pair with their neighbours nearly as well."""
     mapped, period = clocks.map(trains.video_s)[0], trains.period_s
     slack = 3 * trains.typical_error_s  # slips before or after the force was recorded would fit any offset
     common = (mapped > trains.force_s[0] - slack) & (mapped < trains.force_s[-1] + slack)

@@ -14,15 +14,7 @@ from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
 from vision.force.signal import averaged
-from vision.numeric import (
-    NORMAL_MEDIAN,
-    Floats,
-    Ints,
-    flat_ranges,
-    in_two_threads,
-    nan_median,
-    row_parts,
-)
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, in_two_threads, nan_median, row_parts
 
 SLIPS_AT_ONCE = 256  # compared with the frames before them: thousands would take as much memory as the film
 
@@ -36,28 +28,24 @@ def force_slips(
 
     Returns
     -------
-    A table, empty where `sticks` is, without the slips during which samples are lost; with the columns
-
-    - time_s: middle of the slip on the force clock, in order;
-    - error_s: its random standard error;
-    - drop_N: size of the slip, the mean of its own drop and of the rises before and after it, because the
-      sheets may follow either; NaN for the first and last slip, which lack one of the rises;
-    - lag_s: standard error that is common to all times, the same in each row.
+    A table, empty where `sticks` is, without the slips during which samples are lost; with the columns time_s
+    (middle of the slip on the force clock, in order), error_s (its random standard error), drop_N (mean of
+    its own drop and of the rises before and after it, because the sheets may follow either; NaN for the first
+    and last slip) and lag_s (standard error that is common to all times, the same in each row).
 
     Notes
     -----
-    A slip is found at the steepest drop. The mean time of the drop, weighted by the fall in each sample,
-    gives the slip's time to a fraction of a sampling interval. The load cell's low-pass delays that mean by
-    its time constant :math:`\tau` and makes the drop asymmetric: the impulse response
-    :math:`e^{-t/\tau}/\tau` has a third central moment of :math:`2\tau^3`, while a slip itself is symmetric
-    and has none. So the mean third moment of all slips gives the delay. A filter with a symmetric response
-    delays slips with no sign of it but their width, which slips that last have as well: `lag_s` contains
-    `unseen_delay` times the standard deviation that neither the low-pass nor the sampling explains.
+    The mean time of the drop, weighted by the fall in each sample, gives the slip's time to a fraction of a
+    sampling interval. The load cell's low-pass delays that mean by its time constant :math:`\tau`: its
+    impulse response :math:`e^{-t/\tau}/\tau` has a third central moment of :math:`2\tau^3`, while a slip is
+    symmetric and has none. So the mean third moment of all slips gives the delay. A filter with a symmetric
+    response shows only in their width, as slips that last do: `lag_s` contains `unseen_delay` times the
+    standard deviation that neither the low-pass nor the sampling explains.
 
     A load that rings is averaged over one period T, twice. Ringing delays the mean time by a hundredth of T,
     and the variance of the averaged drop is :math:`T^2 (1/6 - 1/2\pi^2)`. Where the load swings back after
-    the drop, but its period is not known, the drop that is timed is the first half of a swing, late by up to
-    half of its duration, which `lag_s` contains.
+    the drop, but its period is not known, the drop that is timed is late by up to half of the swing, which
+    `lag_s` contains.
     """
     good = good_samples(force)
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
@@ -101,11 +89,7 @@ def force_slips(
 
 
 def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
-    """Begin, s, end, s, and drop, N, of each slip.
-
-    The table does not give the end of the last slip, which is taken to last as long as the others. The drop
-    is the mean of the fall and of the two rises beside it; NaN for the first and the last slip.
-    """
+    """Begin, s, end, s, and drop, N, of each slip; the last one is taken to last as long as the others."""
     if not len(sticks):
         return np.empty(0), np.empty(0), np.empty(0)
     valley, peak = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
@@ -142,12 +126,7 @@ class _Drops(NamedTuple):
 
 
 def _measure_drops(
-    time: Floats,
-    load: Floats,
-    steepest: Ints,
-    longest: Floats,
-    average_s: float,
-    settings: ClockSettings,
+    time: Floats, load: Floats, steepest: Ints, longest: Floats, average_s: float, settings: ClockSettings
 ) -> _Drops:
     """Measure the drops around their steepest intervals.
 
@@ -231,12 +210,11 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
 
     .. math:: \Delta x_{nf} = a_f p_n + s_f u_n,
 
-    where :math:`p_n` is the pattern, the movement of each sheet in a slip, and :math:`s_f` is a shift of the
-    whole picture (drift, vibration); :math:`u_n = \pm 1` is the side of the sheet. With one side in view the
-    shift is fitted only if the slips then stand out more. Both are fitted by least squares, weighted by the
-    noise of the sheets. A slip is an :math:`a_f` that exceeds the creep significantly. A slip during an
-    exposure shows as a frame in an intermediate position, which gives its time within the exposure; a slip
-    between two exposures may lie anywhere between them.
+    where the pattern :math:`p_n` is the movement of each sheet in a slip, and :math:`s_f` is a shift of the
+    whole picture (drift, vibration); :math:`u_n = \pm 1` is the side of the sheet. Both are fitted by least
+    squares, weighted by the noise of the sheets; with one side in view the shift only if the slips then stand
+    out more. A slip is an :math:`a_f` that exceeds the creep significantly. During an exposure it shows as a
+    frame in an intermediate position, which gives its time; between two exposures it may lie anywhere.
     """
     steps = _steps(tracks, settings.least_sheets)
     n = np.asarray(tracks["n"].values, np.float64)
@@ -334,11 +312,8 @@ def _fit_pattern(
 
 
 def _shortest_third(values: Floats) -> tuple[float, float]:
-    """Centre and standard deviation of the movements without slips, robust up to two thirds of others.
-
-    Both come from the shortest interval that contains a third of the values (after Rousseeuw & Leroy 1988),
-    as the sheets may slip in a third of the frames and rest in another.
-    """
+    """Centre and standard deviation of the movements without slips, robust up to two thirds of others: of the
+    shortest interval that contains a third of the values (after Rousseeuw & Leroy 1988)."""
     ordered = np.sort(values)
     third = len(ordered) // 3
     length = ordered[third:] - ordered[: len(ordered) - third]
@@ -348,11 +323,8 @@ def _shortest_third(values: Floats) -> tuple[float, float]:
 
 
 def _find_steps(above: Floats, error: Floats, creep: float, settings: ClockSettings) -> tuple[Ints, Ints]:
-    """Indices of the first and last movement of each step.
-
-    In a stick phase the sheets creep inwards, or rest if the machine rests. So only outward movement is a
-    step.
-    """
+    """Indices of the first and last movement of each step, which is outward: in a stick phase the sheets
+    creep inwards, or rest."""
     outward = above + min(creep, 0.0)
     part = outward > settings.step_part_significance * error
     edges = np.diff(np.r_[0, part.astype(np.int8), 0])
@@ -407,10 +379,9 @@ def _spread_of_sheets(
 
     While some sheets have slipped and others have not, sheets differ in the part of their step that they have
     made. The spread is that at which `_expected_variance` is the variance of these parts, of all slips
-    together, less the noise of equally long parts of the film before the slips, plus its standard error: a
-    film that is too noisy to show a delay does not exclude it. Intermediate positions are due to the exposure
-    and to such sheets; half of them count for the exposure. Where slips follow each other too closely, all of
-    them may be due to the sheets.
+    together, less the noise of equally long parts of the film before them, plus its standard error: a film
+    that is too noisy to show a delay does not exclude it. Half of the intermediate positions count for the
+    exposure; where slips follow each other too closely, all of them may be due to the sheets.
     """
     frame_s = float(np.median(np.diff(steps.time_s)))
     intermediate_s = _exposed_share(first, last) * frame_s
@@ -484,11 +455,9 @@ def _exposed_share(first: Ints, last: Ints) -> float:
 
 
 def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats]:
-    """Time and standard error of each step, s.
-
-    A step without a frame in an intermediate position may lie anywhere between two exposures. A step with it
-    lies within the exposure, at a time given by the part of the step that the frame shows.
-    """
+    """Time and standard error of each step, s: anywhere between two exposures without a frame in an
+    intermediate position, else within the exposure, at a time given by the part of the step that the frame
+    shows."""
     above = np.maximum(above, 0.0)
     middle, length = 0.5 * (time_s[1:] + time_s[:-1]), np.diff(time_s)
     frame_time = float(np.median(length))

@@ -253,13 +253,12 @@ def _fit(
 
 
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
-    """Return the fit with the shifts that errors of d0, the geometry and Y_eff cause.
+    """Return the fit with the shifts that errors of d0, the geometry and Y_eff cause; those by the force
+    recording (drift of the load cell, its low-pass) come from the run's fits.
 
-    Shifts by errors of the force recording (drift of the load cell, its low-pass) come from the run's fits.
-
-    test, fit: as in `fit_test`.  modulus: Y_eff; its systematic error comes from the main sample's geometry.
-    main: whether the test belongs to the main sample. The stiffness K of this sample determines the product
-    of Y_eff and geometry, so errors of its geometry do not change Λ̂.
+    modulus: Y_eff; its systematic error comes from the main sample's geometry.  main: whether the test
+    belongs to that sample. Its K determines the product of Y_eff and geometry, so errors of its geometry do
+    not change Λ̂.
     """
     used, shifts = test.events[fit.used], dict[str, dict[str, float]]()
 

@@ -144,13 +144,10 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
 
 
 def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the heading of a table and, with their line numbers, the rows that are not empty.
-
-    The table is the first worksheet of an Excel workbook that is not empty, or text in any encoding. There
-    commas separate cells, or semicolons or tabs; then commas in numbers are decimal marks.
-
-    wanted: what the file should be, for the message.  Raises: InputError.
-    """
+    """Return the heading of a table and, with their line numbers, the rows that are not empty: of the first
+    worksheet of an Excel workbook that is not empty, or of text in any encoding. There commas separate cells,
+    or semicolons or tabs; then commas in numbers are decimal marks.  wanted: what the file should be.
+    Raises: InputError."""
     if check_regular(path, wanted).st_size > 1 << 24:
         raise InputError(path, wanted, "a far larger file", "check its name")
     with reading(path, wanted, "save it again"):
@@ -417,9 +414,8 @@ def _finite(table: pd.DataFrame) -> pd.DataFrame:
 def film_columns(film: FilmResults | None) -> dict[str, float]:
     """Return the columns of tests.csv about the film: medians over its stick phases; NaN if not known.
 
-    Their errors contain that of a stick phase in full, since other stick phases may share it (of the stick
-    lengths, the sheets' own movement), the scatter between stick phases, and of numbers of sheets that they
-    are whole: where all stick phases agree, the shell may still end anywhere between two sheets.
+    Their errors contain that of a stick phase in full, since others may share it, the scatter between stick
+    phases, and of numbers of sheets that they are whole.
     """
     of_side = ("stiff_{}", "stiff_{}_err", "ratio_n_{}", "ratio_{}", "ratio_{}_err")
     names = [name.format(side) for side in SIDES.values() for name in of_side]

@@ -163,14 +163,13 @@ class BothSides:
         """Drift of the camera during each stick from coefficients of the creep, to the right, (stick, sheet).
 
         Sheets creep inwards on both sides, so half the sum of a pair is the movement of the camera plus the
-        pair's asymmetry.  One part of the asymmetry is the same share of the creep for all pairs (one side
-        creeps less than the other).  It is found from the correlation of the half sums with the creep within
-        each stick, because the camera moves all pairs alike.  The residual asymmetry is relatively larger
-        near the axis, for example where a sheet is missing on one side.  It is measured from the scatter of
-        the pairs, which gives most weight to the nearly stationary inner sheets.
+        pair's asymmetry. A part of this that is the same share of the creep for all pairs (one side creeps
+        less) follows from the correlation of the half sums with the creep within each stick. The rest,
+        relatively larger near the axis, is measured from the scatter of the pairs, which gives most weight to
+        the nearly stationary inner sheets.
 
         `slow`: whether drift that is the same in all sticks must also show in the mean positions of the
-        sheets.  Where it does not, one side may creep more instead; this enters the error.
+        sheets. Where it does not, one side may creep more instead; this enters the error.
         """
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
@@ -309,10 +308,8 @@ class OneSide:
         settings: DeformationSettings,
     ) -> OneSide:
         """Drift model from the slopes and middles of all sheets, without pushes, and the vibration, px, (F,).
-
         Where drift cannot be measured, its error is the slope that white noise as large as the vibration
-        would have.
-        """
+        would have."""
         stick = np.arange(frames.sticks)
         distance = np.abs(stick[:, None] - stick)
         near = np.maximum(1 - distance / (settings.neighbouring_sticks + 1.0), 0.0)
@@ -474,9 +471,8 @@ def own_movement(
 ) -> Floats:
     """Half the steady movement of each sheet in a stick that slips do not return, px, (stick, sheet).
 
-    Paper that settles moves so, and a block that slides; it cannot be told whether the pull causes
-    it.  What all sheets share does not count, nor what is proportional to their creep: slips may return a
-    little more or less than it.  middle_px: mean positions; slope_px: half the movement to the right, px,
+    Paper that settles moves so, and a block that slides. What all sheets share does not count, nor what is
+    proportional to their creep.  middle_px: mean positions; slope_px: half the movement to the right, px,
     (stick, sheet).
     """
     rate, error = _net_rate(_without_pushes_between(middle_px, frames, settings), frames, settings)

@@ -96,11 +96,9 @@ def find_corners(
 ) -> Corners:
     """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
 
-    `lowpass` is the time constant, in samples, to correct for.
-
-    The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
-    and 10 %, scaled as for half a cosine, give begin and end. With `two_slopes` the stick lines may have a
-    knee.
+    `lowpass` is the time constant, in samples, to correct for. The load falls from the stick line before the
+    slip, 100 %, to the one after it, 0 %. The times at 90, 50 and 10 %, scaled as for half a cosine, give
+    begin and end. With `two_slopes` the stick lines may have a knee.
     """
     seen = _deconvolve(signal, slips, lowpass)
     base = _Baselines.of(seen, two_slopes, settings)
@@ -142,14 +140,13 @@ def _half_lengths(
     seen: _DeconvolvedLoad, base: _Baselines, halves: Floats, interpolated: Bools, settings: ForceSettings
 ) -> tuple[Floats, float, float]:
     """Return how long each slip lasts before and after its middle, (2, slip); the usual whole length; and by
-    which share of it the usual slip may begin earlier than half a cosine does, as its first half lasts longer
-    where friction falls gradually with the speed.
+    which share of it the usual slip may begin earlier than half a cosine does, where friction falls gradually
+    with the speed.
 
     `halves` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length of a slip
-    is used where its drop exceeds 20 sigma and no sample beside it is `interpolated`, which makes it look
-    longer, unless it is slow; else the median of the recording. Where the median is too short
-    to be resolved, slips count as half as long as they appear on average, but slow ones keep their own
-    length.
+    is used where its drop exceeds 20 sigma and no sample beside it is `interpolated`, unless it is slow; else
+    the median of the recording. Where the median is too short to be resolved, slips count as half as long as
+    they appear on average, but slow ones keep their own length.
     """
     # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.

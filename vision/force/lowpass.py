@@ -101,11 +101,9 @@ def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0
     """Estimate the time constant of a first-order low-pass by least squares.
 
     After each slip the load, without spikes, is modelled as the rise of the sample (a parabola, with a knee
-    for fast pulls) plus an exponential transient. The time constant is common to all sticks, the height of
-    the transient is free in each. None with fewer than three sticks of eight samples or more.
-
-    `corrected` is the time constant, in samples, for whose delay the corners in `transients` are already
-    corrected.
+    for fast pulls) plus an exponential transient, whose time constant is common to all sticks and whose
+    height is free in each. None with fewer than three sticks of eight samples or more.  corrected: time
+    constant, in samples, for whose delay the corners in `transients` are already corrected.
     """
     blocks = _Blocks.of(y, transients, corrected)
     if blocks is None:

@@ -207,11 +207,8 @@ def _dataset(
 
 def _restart(time: Floats) -> int:
     """Return the first row at which the time starts again, as in a second recording; without one, the number
-    of rows.
-
-    There the time falls by nine tenths of what has passed since the first row, and goes on from there. Rows
-    ten before and nine after it tell this from single wrong times.
-    """
+    of rows. The time falls by nine tenths of what has passed, and goes on from there; rows ten before and
+    nine after it tell this from single wrong times."""
     row = np.flatnonzero(np.diff(time) < 0) + 1
     row = row[(row >= 10) & (row + 9 < time.size)]
     before, here, after = time[row - 10], time[row], time[row + 9]
@@ -322,11 +319,8 @@ def _gap_warnings(
 def _rest_warnings(
     time: Floats, load: Floats, travel: Floats, d0_mm: float | None, settings: ForceSettings
 ) -> list[str]:
-    """Return that the machine may have rested at first, where d is calculated from its speed.
-
-    The load is level until it first leaves its initial level by a fiftieth of its range. `travel` is how far
-    the machine would have moved, mm.
-    """
+    """Return that the machine may have rested at first, where d is calculated from its speed: the load is
+    level until it leaves its initial level by a fiftieth of its range.  travel: at this speed, mm."""
     smooth = running_median(load, 11)
     low, high = np.percentile(load, (1, 99))
     away = np.flatnonzero(np.abs(smooth - smooth[0]) > 0.02 * (high - low))
@@ -493,11 +487,8 @@ def _fits(table: Table, role: Role, k: int) -> bool:
 
 
 def _rank(table: Table, role: Role, k: int) -> tuple[bool, bool, int]:
-    """Return a rank by which the best column of a role is the smallest.
-
-    Columns with a unit are preferred, then those that are neither an absolute position of the machine nor a
-    time of the day, which may be coarse, then the shortest names for time.
-    """
+    """Return a rank by which the best column of a role is the smallest: columns with a unit, then those that
+    are neither an absolute position nor a coarse time of the day, then the shortest names for time."""
     words = _words(table.names[k])
     absolute = bool(set(words) & _ABSOLUTE) or table.units[k] == TIME_OF_DAY
     return unit_of(table.units[k]) is None, absolute, len(words) if role == "time" else 0
@@ -527,9 +518,8 @@ def sample_flags(
     """Return one flag per sample: the first of these that applies, else "ok".
 
     "nan": time, load or displacement is not a number. "backwards": the time is earlier than a previous one.
-    "repeated": the time equals the latest one. "saturated": the sample is in a run of equal samples at the
-    largest absolute load. "gap": several sampling intervals, or as long a way, lie before the sample, which
-    itself is good.
+    "repeated": the time equals the latest one. "saturated": in a run of equal samples at the largest absolute
+    load. "gap": several sampling intervals, or as long a way, lie before the sample, which itself is good.
     """
     flags = np.full(time_s.shape, "ok", dtype="<U9")
     bad = ~(np.abs(time_s) < _MOST) | ~(np.abs(load) < _MOST)  # damaged digits; NaN and infinity too
@@ -570,10 +560,7 @@ def _at_slips(jumps: Bools, load: Floats) -> bool:
 
 def _saturated(load: Floats, least: int) -> Bools:
     """Return the samples in runs, of `least` or more, at the largest |load|; none if the load never changes.
-
-    A load in coarse steps has runs at every step, so these runs must also be twice as long as those in which
-    nine tenths of the other samples are; noise adds short runs between the steps.
-    """
+    A load in coarse steps has runs at every step, so these must also be twice as long as most others."""
     finite = np.abs(load[np.isfinite(load)])
     if not finite.size or np.ptp(finite) == 0:
         return np.zeros(load.shape, dtype=bool)

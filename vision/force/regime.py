@@ -103,9 +103,8 @@ def doubts(
 ) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip.
 
-    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps, and events
-    that are its swings say nothing else.  swing_s: period of an oscillation that cannot be averaged; NaN for
-    none.  lasting: the `lasting_falls`.
+    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.  swing_s:
+    period of an oscillation that cannot be averaged; NaN for none.  lasting: the `lasting_falls`.
     """
     if rings and regime.name != "stick-slip":
         return [rings, *_load_warnings(signal, slips, events, unit)]
@@ -147,10 +146,8 @@ def doubts(
 
 
 def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
-    """Return that noise of the displacement makes K, over half a stick, uncertain by more than 5 %.
-
-    The stated error of K then grows with K itself, so that the fits give large K too little weight.
-    """
+    """Return that noise of the displacement makes K, over half a stick, uncertain by more than 5 %: the
+    stated error of K then grows with K itself, so that the fits give large K too little weight."""
     if len(signal.travel) < 3:
         return []
     noise_um = 1e3 * white_noise(signal.travel)
@@ -205,11 +202,10 @@ def _periodic_warnings(signal: Signal, events: pd.DataFrame, settings: ForceSett
 def speed_warnings(events: pd.DataFrame, settings: ForceSettings) -> list[str]:
     """Return where the machine may have rested, or changed its speed, if d is calculated from one speed.
 
-    The load rises in time with K V, and K changes slowly: from valley to valley it takes as long, for its
-    rise, as in the two sticks before and the two after. What one takes longer, as a way at the given speed,
-    counts from half a usual stick and `rest_mm` on. A change of the speed is one by `speed_change`, beyond
-    the errors, from five sticks to the next five, and half of it is more than the change from the five before
-    and to the five after.
+    The load rises in time with K V, and K changes slowly. What one stick takes longer for its rise than those
+    around, as a way at the given speed, counts from half a usual stick and `rest_mm` on. A change of the
+    speed is one by `speed_change`, beyond the errors, from five sticks to the next five, and half of it is
+    more than the changes beside it.
     """
     if len(events) < 3:
         return []
@@ -251,9 +247,8 @@ def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     that broke: the `peak` of the sticks is lower from there on.
 
     A line with a step through the peaks of ten sticks on either side falls there by more than half of the
-    drop, and by `split_sigmas` of its error. So do the two peaks beside it, and the last ones are still lower
-    by most of it. The stick that the fall ends has no peak of its own, so that the slips beside it may be
-    named as well.
+    drop, and by `split_sigmas` of its error; so do the two peaks beside it, and the last ones are still lower
+    by most of it.
     """
     reach, lasting = 10, np.zeros(slips.edge.size, np.bool_)
     if peak.size <= 2 * reach:

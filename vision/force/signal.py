@@ -206,12 +206,9 @@ def _filled_in(load: Floats) -> Bools:
 
 
 def _repeats_at_random(load: Floats, repeats: Bools) -> bool:
-    """Return whether a program that asks for the load faster than it is measured has repeated values.
-
-    Three tenths of the values, at least, are repeated, though the load changes by ten times its last digit or
-    more from one to the next: values of a coarse load, which repeat by chance, change by one or two. A load
-    at rest is one value.
-    """
+    """Return whether a program that asks for the load faster than it is measured has repeated values: three
+    tenths of them, at least, though the load changes by ten times its last digit or more from one to the
+    next. Values of a coarse load, which repeat by chance, change by one or two digits."""
     new = np.flatnonzero(~repeats)
     lengths, changes = np.diff(np.append(new, load.size)), np.abs(np.diff(load[new]))
     if new.size < 100 or np.mean(lengths > 1) < 0.3:
@@ -260,11 +257,10 @@ def noise_sigma(y: Floats) -> float:
 def smoothed_samples(load: Floats, settings: ForceSettings) -> int:
     """Return the samples over which a filter has smoothed the noise, a power of two; 1 for none.
 
-    The noise of every k-th sample grows with k by up to a factor of four where k doubles as
-    long as samples are alike, and not at all once they are not; bent sticks and slips let it grow again. k is
-    where it grows least. Noise that nowhere before grows by `smooth_growth`, as that of a random walk or of a
-    first-order low-pass, is not smooth. That behind a moving mean grows like a random walk up to the length
-    of the mean, and faster there. Of hum, four samples in each period are left.
+    The noise of every k-th sample grows with k by up to a factor of four where k doubles as long as samples
+    are alike, and not at all once they are not; bent sticks and slips let it grow again. k is where it grows
+    least. Noise that nowhere before grows by `smooth_growth`, as that of a random walk, is not smooth. That
+    behind a moving mean grows faster at the length of the mean. Of hum, four samples in each period are left.
     """
     most = load.size // settings.smooth_fewest
     if most < 2:
@@ -316,8 +312,7 @@ def find_spikes(
 ) -> tuple[Bools, Floats]:
     """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
 
-    A spike, of one or two samples, differs by `spike_sigmas` from the median of the five samples around it,
-    which follows the slips and corners of a sawtooth.
+    A spike, of one or two samples, differs by `spike_sigmas` from the median of the five samples around it.
     """
     middle = running_median(y, 5)
     off = np.abs(y - middle) - settings.spike_sigmas * sigma
@@ -334,11 +329,9 @@ def find_spikes(
 
 
 def _begins_bent(y: Floats, at: Ints, sigma: Floats | float) -> Bools:
-    """Return which samples `at` are an end of a stick that is steep there, as of sheets that slip in turn.
-
-    The step to the next sample is within a factor of three of those further on, which are clear of the noise,
-    and the load on the other side is on another level. After a spike, the steps are as small as all others.
-    """
+    """Return which samples `at` are an end of a stick that is steep there, as of sheets that slip in turn:
+    the step to the next sample is within a factor of three of those further on, which are clear of the noise,
+    and the load on the other side is on another level."""
     bent = np.zeros(at.size, np.bool_)
     for way in (1, -1):
         here, beside, far = (y[np.clip(at + k * way, 0, y.size - 1)] for k in (0, 1, 3))
@@ -374,15 +367,14 @@ def ringing_period(load: Floats, settings: ForceSettings) -> float:
     """Return the period of an oscillation that follows the slips, in samples; NaN for none.
 
     The autocorrelation of the load's steps falls below minus `ringing_alike` and then rises above it. Slips,
-    which are the largest steps, are cut to the size of the others: three times as many where that shows no
-    period, as slips may be slow. A load that oscillates throughout also has such a period. The steps of a
-    coarse load, by one quantum at regular times, are no oscillation. Ringing that decays within a period or
-    two is too short for that, and is told by the load after the largest falls.
+    which are the largest steps, are cut to the size of the others. A load that oscillates throughout also has
+    such a period. The steps of a coarse load, by one quantum at regular times, are no oscillation. Ringing
+    that decays within a period or two is too short for that, and is told by the load after the largest falls.
     """
     step = np.diff(load)
     step -= np.median(step)
     size = np.abs(step)
-    for cut in (1 - settings.ringing_steps, 3 * (1 - settings.ringing_steps)):
+    for cut in (1 - settings.ringing_steps, 3 * (1 - settings.ringing_steps)):  # slips may be slow
         most = float(np.quantile(size, 1 - cut))
         period = _period(np.clip(step, -most, most), settings) if most else float("nan")
         if np.isfinite(period):
@@ -461,11 +453,9 @@ def _period(step: Floats, settings: ForceSettings) -> float:
 
 
 def averaged(time_s: Floats, load: Floats, average_s: float) -> Floats:
-    """Return the load averaged twice over a time around each sample, or over less of it at the ends.
-
-    One mean over the period of ringing that decays leaves a few per cent of it, two leave a thousandth. A
-    cubic spline through the samples is averaged, so that periods of a few samples cancel as well.
-    """
+    """Return the load averaged twice over a time around each sample, or over less of it at the ends: one mean
+    over the period of ringing leaves a few per cent of it, two a thousandth. A cubic spline through the
+    samples is averaged, so that periods of a few samples cancel as well."""
     start = np.maximum(time_s - average_s / 2, time_s[0])
     stop = np.minimum(time_s + average_s / 2, time_s[-1])
     for _ in range(2):
@@ -574,9 +564,8 @@ def fit_slow_noise(
     line. What all sticks have in common there, in proportion to their rises, is their curvature, and is no
     noise; nor is a curvature of each stick's own, where white noise and the m⁴ by which that grows fit best.
     Slow noise has the spectrum of a time constant (autoregressive noise) or a power law between the frequency
-    to the power -0.5 and -2 (pink noise, random walk). The best fit counts. Power laws continue to a sixth of
-    the lowest frequency of the recording: between random walks about their mean, and those that begin at 0
-    with the recording.
+    to the power -0.5 and -2 (pink noise, random walk), down to a sixth of the lowest frequency of the
+    recording.
     """
     if white_N == 0:  # a load without any noise: calculated or heavily smoothed
         return None
@@ -669,9 +658,8 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     """Return the narrow lines of a load's spectrum, the strongest first; regular stick-slip also has some.
 
     The spectra of the load's steps over overlapping parts of the recording are averaged. The largest steps,
-    the slips, are cut to the size of the others, as their broad spectrum would hide faint hum. A line exceeds
-    the median of the frequencies around it by `hum_ratio`. Its amplitude and phase may change within 30
-    periods.
+    the slips, are cut to the size of the others. A line exceeds the median of the frequencies around it by
+    `hum_ratio`. Its amplitude and phase may change within 30 periods.
     """
     part = min(1 << int(np.log2(max(y.size / _LEAST_SPECTRA, 2))), _LONGEST_PART)
     if part < _LEAST_PART:
@@ -725,7 +713,6 @@ def is_hum(hum: Hum, y: Floats, slips: Slips, settings: ForceSettings) -> bool:
 
     Hum is faster than the slips, which come at any phase of it, and the load within the sticks is straighter
     without it. `slips` are those of the load without the hum; three of its periods must lie between them.
-    The phases of fewer than `_FEWEST` tell nothing: regular stick-slip without its harmonic retains a few.
     """
     if slips.edge.size < _FEWEST or slips.period * hum.frequency < 3:
         return False

@@ -72,10 +72,8 @@ class Slips:
         return replace(self, edge=place[np.arange(len(place)), steepest])
 
     def before_jumps(self, settings: ForceSettings) -> Ints:
-        """Return the number of slips before each upward jump that is as large as slips.
-
-        Lines through curved sticks, or through a hold, are also apart: a jump rises by more than a stick does
-        within five samples.
+        """Return the number of slips before each upward jump that is as large as slips, and rises by more
+        than a stick does within five samples: lines through curved sticks, or through a hold, are also apart.
         """
         usual = float(np.median(self.drop))
         large = self.jump_rise - 5 * usual / self.period > 0.5 * self.jump
@@ -83,11 +81,8 @@ class Slips:
         return np.searchsorted(self.edge, self.jump_edge[large])
 
     def warnings(self, unit: str, settings: ForceSettings) -> list[str]:
-        """Return which slips may have been left out, and how many of the drops, in `unit`, may be none.
-
-        Drops below `close_share` of the usual one hardly change a fit. Many recordings have some, where the
-        line of a bent stick is divided in the noise.
-        """
+        """Return which slips may have been left out, and how many of the drops, in `unit`, may be none. Drops
+        below `close_share` of the usual one hardly change a fit."""
         lines, usual = [], float(np.median(self.drop))
         left_out = self.left_out[self.left_out >= settings.close_share * usual]
         if left_out.size:
@@ -119,11 +114,10 @@ def find_slips(
 ) -> Slips:
     """Return the slips of a sawtooth without spikes; empty arrays where there are none.
 
-    A step filter of 0.15 local periods on either side proposes drops. Two neighbouring sticks
-    are joined where one line, straight or with a knee, fits both as well as two lines do, or where the load
-    falls between two drops. A remaining drop is a slip where the lines on both sides, extended to the drop,
-    differ by the threshold: by default 4 `sigma`, the white noise of y at every sample or one for all. Lines
-    average the noise, so this is stricter than 6 sigma between single samples.
+    A step filter of 0.15 local periods on either side proposes drops. Two neighbouring sticks are joined
+    where one line, straight or with a knee, fits both as well as two lines do, or where the load falls
+    between two drops. A remaining drop is a slip where the lines on both sides, extended to the drop, differ
+    by the threshold: by default 4 `sigma`, the white noise of y at every sample or one for all.
 
     Noise that is not white, knocks and ringing jump upward as often as downward, but slips only fall. The
     number of upward jumps within the sticks therefore estimates how many drops of each size are not slips,
@@ -275,11 +269,8 @@ def _lines_beside(load: FittedLoad, edge: Ints, settings: ForceSettings) -> tupl
 
 
 def _stretch_bounds(edge: Ints, size: int) -> Ints:
-    """Return the edges, and before and after them where the first stretch begins and the last one ends.
-
-    Both reach one usual spacing of the edges beside them, and no further than the recording. What lies beyond
-    may be a rest before the pull or after it, and no line fits a rest and the rise beside it.
-    """
+    """Return the edges, and before and after them where the first stretch begins and the last one ends: one
+    usual spacing of the edges beside them, as what lies beyond may be a rest."""
     if edge.size < 3:
         return np.asarray(np.r_[0, edge, size], np.int64)
     spacing = np.diff(edge)
@@ -347,8 +338,7 @@ def _with_close(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSett
 
     The filter is halved until it has two samples on either side. What it proposes must pass the same tests,
     and be clear: a drop of twice the usual threshold and of `close_share` of those beside it, which stay as
-    they are, between sticks that rise by as much, and half as steeply as the one that it divides. Parts of
-    a slow slip do not rise, and the tail of a low-pass is no drop.
+    they are, between sticks that rise by as much, and half as steeply as the one that it divides.
     """
     half = _half_widths(_local_period(edge, load.y.size), settings)
     least = 2 * settings.threshold_sigmas * sigma

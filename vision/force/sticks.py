@@ -171,10 +171,8 @@ def _damaged(signal: Signal, corners: Corners, sticks: _Sticks) -> dict[str, Boo
 
 def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings) -> Bools:
     """Return in or before which sticks the machine paused, or the displacement had ended: from one valley to
-    the next it moves clearly more slowly than in the two sticks before and the two after, or hardly at all.
-
-    The load relaxes in a rest, which looks like a slip: the stick before it then ends too early.
-    """
+    the next it moves clearly more slowly than in the two sticks before and the two after. The load relaxes in
+    a rest, which looks like a slip."""
     duration = np.where(duration > 0, duration, np.nan)  # swings at the same place
     speed = way / duration
     around = pd.Series(speed).rolling(5, center=True, min_periods=1).median().to_numpy()
@@ -218,9 +216,8 @@ def _position_errors(
     corners of a slip apart; in samples.
 
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
-    before, in squares if it is longer, and by `lengthened` samples by a filter of the machine, further where
-    the noise of neighbouring samples is common unless it arose later. Either corner is then off by half of
-    it, and the two of a stick by all of it.
+    before, by `lengthened` samples by a filter of the machine, further where the noise of neighbouring
+    samples is common. Either corner is then off by half of it, and the two of a stick by all of it.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
@@ -250,13 +247,12 @@ def filter_length(signal: Signal, corners: Corners, settings: ForceSettings) -> 
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
     A filter lengthens all slips alike, so by no more than the shortest last; and not at all where they have
-    the shape of a moving block's, and the noise is faster than they are. Half a cosine takes as long before
-    its middle as after it; a filter with a tail takes longer after it. Its tails are longer than those of a
-    straight fall, as a moving mean makes it of a sudden slip, and shorter than those of several means. Either
-    half may differ, where friction changes gradually, but a filter makes both differ. A smoothed recording,
-    as by a filter without delay, has noise as smooth as its slips. Where they are not slow, the noise must be
-    white and the load must not swing below the stick after them, as behind a sharp filter or in a load cell
-    that rings. A slip about as long as a moving mean after it looks like half a cosine.
+    the shape of a moving block's, half a cosine, and the noise is faster than they are. A filter with a tail
+    takes longer after the middle than before it. Tails are longer than those of a straight fall, as a moving
+    mean makes it of a sudden slip, and shorter than those of several means; either half may differ, where
+    friction changes gradually, but a filter makes both differ. A smoothed recording has noise as smooth as
+    its slips. Where they are not slow, the noise must be white, and the load must not swing below the stick
+    after them, as behind a sharp filter or in a load cell that rings.
     """
     length = float(np.quantile(corners.length, 0.1))
     slow = bool(is_slow(corners, settings).all())
@@ -278,10 +274,7 @@ def filter_length(signal: Signal, corners: Corners, settings: ForceSettings) -> 
 
 def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings: ForceSettings) -> float:
     """Return the correlation of the noise within the sticks over so many samples; NaN in short sticks.
-
-    Rounding to the last digit written is white, whatever a filter did before: it is not counted. Where the
-    noise is hardly more, the correlation is not known.
-    """
+    Rounding to the last digit is white, whatever a filter did before, and not counted."""
     lag = max(round(apart), 1)
     start, stop = _between(*_central(corners.valley[:-1], corners.peak[1:], settings.line_part))
     long = stop - start >= max(10, 4 * lag)  # a polynomial is fitted to each
@@ -304,9 +297,8 @@ def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, 
 
     At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
     the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
-    Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
-    bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
-    is part of the error, and so is how far the force was moved from the line to what was recorded.
+    What was recorded beyond the line, noise aside, is part of the error (ringing, a filter that overshoots, a
+    sharp bend, a coarse load), and so is how far the force was moved from the line.
     """
     line = np.where(sticks.slow, force, ends.force)
     noise = sticks.settings.extreme_sigmas * signal.noise_at(sticks.position)
@@ -368,12 +360,11 @@ def _forces(signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends) -> F
 def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
     """Return F_v and F_p of the stick lines, (2, stick), limited to what was recorded there.
 
-    A stick ends between two samples, so either force may exceed the recorded one by the rise from
-    sample to sample there. At valleys a small share of the drop is added, since the load cell
-    is late. The range of the whole recording is never exceeded.
-    Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
-    recorded peak and, unless the load rings, valley hold, except for the noise of single samples; a begin
-    that is steep in most sticks holds in all.
+    A stick ends between two samples, so either force may exceed the recorded one by the rise from sample to
+    sample there; at valleys by a small share of the drop, too, since the load cell is late. Lines cut the
+    corners of sticks that begin steeply, or end with a small slip before the large one: the recorded peak
+    and, unless the load rings, valley hold, except for the noise of single samples; a begin that is steep in
+    most sticks holds in all.
     """
     (lowest, highest), settings = sticks.furthest, sticks.settings
     margin = ends.rise.copy()
@@ -397,10 +388,9 @@ def _begin(signal: Signal, position: Floats, force: Floats, settings: ForceSetti
     """Return how far the sticks begin below their lines, over the drop, at most 0; None if the load rings.
 
     The lines go from valley to peak, at `position` and `force`, (2, stick). Both show in the median over all
-    sticks of the load minus the line, as a function of the time since the valley. Where the load oscillates
-    about the stick lines after the slips, its maximum in the first quarter of the sticks exceeds its level in
-    the second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply
-    only rises to that level. The median shows such a begin where noise hides it in each stick.
+    sticks of the load minus the line since the valley. Where the load oscillates about the lines after the
+    slips, its maximum in the first quarter of the sticks exceeds its level in the second by `ringing_share`
+    of the first swing or more.
     """
     some, quarter = _to_compare(position)
     if not some.size:
@@ -493,12 +483,9 @@ def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
 def _unevenness(
     signal: Signal, line: Lines, start: Ints, stop: Ints, noise: Floats, settings: ForceSettings
 ) -> Floats:
-    """Return how many times more each stick leaves its line for a while than `noise` explains, at least 1.
-
-    Small slips within a stick and the steps of a coarse load do so. The means over its parts deviate from the
-    line by the noise over the square root of their samples, and by what all sticks have in common in
-    proportion to their rises, which is their curvature.
-    """
+    """Return how many times more each stick leaves its line for a while than `noise` explains, at least 1, as
+    with small slips within it and the steps of a coarse load. What the means over its parts have in common in
+    all sticks, in proportion to their rises, is their curvature."""
     (load, time), samples = _part_means(start, stop, settings, signal.clean, signal.time)
     off = load - line.at(time)
     rise = line.slope * (signal.time[stop - 1] - signal.time[start])

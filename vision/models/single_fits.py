@@ -104,11 +104,8 @@ def plus_minus(estimate: Estimate) -> str:
 
 
 def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
-    """Return a value with its statistical and, if known, its systematic error.
-
-    The smaller error has two digits, or one where the larger would have more than three. contained: what the
-    first error contains.
-    """
+    """Return a value with its statistical and, if known, its systematic error, the smaller with two digits,
+    or one where the larger would have more than three.  contained: what the first error contains."""
     systematic = estimate.systematic_error
     if not (math.isfinite(systematic) and systematic > 0):
         return plus_minus(estimate)
