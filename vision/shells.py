@@ -25,8 +25,7 @@ class ShellSettings(Tunable):
     single value 0.08 widens the intervals by 7 %, 0.25 by 18 %."""
     profile_error: float = 0.2
     """Difference of real profiles from the model profiles, as a fraction of their distance from the
-    threshold. Smaller → intervals too narrow for other shapes (at 0, 72 % contain the truth); larger → wider
-    intervals."""
+    threshold. Smaller → intervals too narrow for other shapes (at 0, 72 % contain the truth)."""
     profile_error_growth: float = 0.5
     """Relative growth of that difference per threshold of distance. At 0 sheets far from the threshold have
     too much weight, and 1 % fewer of the intervals contain the truth."""
@@ -39,12 +38,10 @@ class ShellSettings(Tunable):
     """Probability of chance below which a decrease of the ratio with n, or an increase, is significant."""
     fit_sigma: float = 2.0
     """Standard errors by which M_eff of the fit must lie outside a shell's interval to contradict it. At 1
-    contradictions arise by chance where Λ̂ is uncertain; at 3 a d0 wrong by 3.6 mm passes (`fixtures/late`
-    with 13)."""
+    contradictions arise by chance where Λ̂ is uncertain; at 3 a d0 wrong by 3.6 mm passes."""
     contradicted_share: float = 0.5
-    """Share of stick phases and sides that must contradict the fit, or each other, for a warning. Intervals
-    miss the truth in a tenth of them: 0.2 gives false warnings in short recordings; at 1 a single agreement
-    suppresses it."""
+    """Share of stick phases and sides that must contradict the fit, or each other, for a warning. 0.2 gives
+    false warnings in short recordings; at 1 a single agreement suppresses it."""
 
 
 def classify_sheets(

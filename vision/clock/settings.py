@@ -42,12 +42,10 @@ class ClockSettings(Tunable):
     late (by 0.2 ms at 0.02); smaller → noise is taken for a transient."""
     unseen_delay: float = 2.0
     """Error of the slips' times for a filter whose delay the drops do not show, over the standard deviation
-    in time that is left of a drop. Larger → wider errors where slips last long; smaller → too small ones
-    behind such filters (`test_a_filter_of_second_order_is_in_the_error`)."""
+    that is left of a drop. Smaller → too small ones (`test_a_filter_of_second_order_is_in_the_error`)."""
     behind_ringing: float = 0.1
-    """Error of the slips' times for a low-pass that ringing hides, over the period of the ringing. A low-pass
-    of 0.16 periods takes a third off the swings. Larger → wider errors of load cells that ring; smaller → too
-    small ones behind such a low-pass (`test_a_low_pass_that_ringing_hides_is_in_the_error`)."""
+    """Error of the slips' times for a low-pass that ringing hides, over the period of the ringing. Smaller →
+    too small errors behind such a low-pass (`test_a_low_pass_that_ringing_hides_is_in_the_error`)."""
     swing_back: float = 0.2
     """Rise of the load after a drop, over the steepest fall, from which the load cell swings. Larger → clocks
     are off by a quarter of a swing whose period is not known; smaller → noise after a drop counts as a swing
@@ -78,8 +76,8 @@ class ClockSettings(Tunable):
     """Assumed probability that one instrument detects a slip of the other. Larger → damaged trains are called
     ambiguous; smaller → the lead over a shift by one slip shrinks."""
     largest_pair_gain: float = 3.2
-    """Largest log-likelihood gain of one pair of slips from its times alone. Larger → the ends of even trains
-    decide; at half of it almost no alignment is accepted."""
+    """Largest log-likelihood gain of one pair of slips. Larger → the ends of even trains decide; at half of
+    it almost no alignment is accepted."""
 
     # Sizes of the slips
     size_trend_slips: int = 15
@@ -122,8 +120,7 @@ class ClockSettings(Tunable):
     """Fewest slips before or after a jump. Smaller → one false slip and its neighbour make a jump."""
     least_jump_lead: float = 8.0
     """Log-likelihood that a jump must gain. Larger → the loss of a whole slip is overlooked (at 8 in one of
-    fifteen random trains); smaller → false and missed slips of correct clocks make jumps (at 8 in one of a
-    hundred, at 6 in one of forty)."""
+    fifteen random trains); smaller → correct clocks have jumps (at 8 one in a hundred, at 6 one in forty)."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
     rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks are warned of."""

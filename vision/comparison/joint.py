@@ -45,12 +45,10 @@ class CompareSettings(Tunable):
     """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the position of a change."""
     joint_misfit: float = 2.0
     """Ratio of χ²/dof of the peaks about the joint curve and about the individual ones from which no single μ
-    fits. Smaller warns of less than the scatter of events, larger accepts curves that miss the points. Tests
-    with μ of 0.890 to 0.894 give 1.2, those with 0.89 and 0.91 give 8."""
+    fits: 1.2 for μ of 0.890 to 0.894, 8 for 0.89 and 0.91. Larger accepts curves that miss the points."""
     most_disagreement: float = 4.0
     """χ²/dof of the individual μ of several tests above which a warning says that they differ by more than
-    their errors; 1 is expected. Smaller warns of chance in few tests, larger passes tests whose errors lack a
-    source (`test_tests_that_share_their_friction_coefficient`)."""
+    their errors. Smaller warns of chance (`test_tests_that_share_their_friction_coefficient`)."""
     test_misfit: float = DEFAULT.contradicting_chi2
     """χ²/dof of the fits of one test above which it gets a warning; 1 is expected. Smaller warns of chance in
     tests with few events, larger accepts a wrong modulus (`test_a_wrong_modulus_shows`)."""

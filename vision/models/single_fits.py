@@ -63,9 +63,8 @@ class FitSettings(Tunable):
     """𝒯0 over the usual peak above which an unknown error of d0 is a warning: drifts of load cells are at
     0.03, a d0 that is 3 mm off at 0.17."""
     drift_fall: float = 3.0
-    """Fall of the peaks over a test, as a ratio, from which a drift of the load is told from μ and 𝒯0.
-    Smaller takes the scatter of short tests for drifts of 10 N, larger is silent about drifts that cancel 𝒯0
-    (`test_a_drift_that_cancels_the_offset_is_in_the_errors`)."""
+    """Fall of the peaks over a test, as a ratio, from which a drift of the load is told from μ and 𝒯0. Larger
+    is silent about drifts that cancel 𝒯0 (`test_a_drift_that_cancels_the_offset_is_in_the_errors`)."""
     unlike_drops: float = 0.4
     """Relative scatter of the drops above which a warning is given: it is 0.05 to 0.2 in a test, 0.5 if half
     of them are small."""
