@@ -467,8 +467,9 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     if tracks is None and now.strips != 1:
         strip, changed = None, ["strips"]  # the parts of the strip, which tracking needs, are not stored
     if strip is None and new.video is None:
-        wanted = "the film, to be read again" + " for" * bool(changed)
-        wanted += " ".join(["", *(f"`{name}`" for name in changed)])
+        wanted = "the film, to be read again"
+        if changed:
+            wanted += f" for {' '.join(f'`{name}`' for name in changed)}"
         raise InputError("the strip", wanted, "none", "say where it lies (`film`)")
     recordings = [one.force for one in (earlier, new) if one.force is not None]
     # A stored run has no recording, but that which is read is its own.

@@ -127,7 +127,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         whose = f"fitted jointly to {one.joint.name}" if one.joint else f"of {one.name or 'the test'}"
         value = both_errors(one.mu, one.joint.error_contains if one.joint else "stat.")
         texts.append(f"μ = {value}, {whose}, T* = {1000 * one.geometry.t_star_N:g} mN")
-    model = f" Dashed: Eq. 1 with {'; '.join(texts)}." * bool(texts) + without
+    model = (f" Dashed: Eq. 1 with {'; '.join(texts)}." if texts else "") + without
     series = (*_points(found, events, "d_p_mm", "y"), *curves)
     return Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series).figure(
         "peaks",
@@ -143,9 +143,8 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     for one in samples:
         d = _span(events, one.name, "d_v_mm")
         curves += _named(found, one, amplitude_curve(d, one.mu, one.amplitude, one.geometry))
-    texts = [
-        f"{both_errors(one.amplitude)} (slow tests{' of ' * bool(one.name)}{one.name})" for one in samples
-    ]
+    whose = [f"slow tests of {one.name}" if one.name else "slow tests" for one in samples]
+    texts = [f"{both_errors(one.amplitude)} ({of})" for one, of in zip(samples, whose, strict=True)]
     model = f" Dashed: A times the total normal force, A = {', '.join(texts)}." if texts else ""
     return Panel(
         x_label=VALLEY_SEPARATION,
@@ -170,7 +169,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             k = np.asarray(equations.effective_sheets(d / scale, sample=one.geometry) * sheet)
             curves += _named(found, one, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, one.geometry))
     series = (*_points(found, events, "d_v_mm", "K_N_per_mm"), *curves)
-    of_each = " of each sample" * (len(samples) > 1)
+    of_each = " of each sample" if len(samples) > 1 else ""
     y_range = _range_of(events, "K_N_per_mm")
     return Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series).figure(
         "stiffnesses",
@@ -278,7 +277,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     blocks = sorted(named["sheets_per_block"].unique())
     masters = []
     for m in blocks:
-        label = "M √(1 − d̂)" + f", M = {m:g}" * (len(blocks) > 1)
+        label = f"M √(1 − d̂), M = {m:g}" if len(blocks) > 1 else "M √(1 − d̂)"
         masters.append(Series.model(label, d_hat, m * np.sqrt(1 - d_hat), MODEL))
     inset = Panel(
         x_label=VALLEY_SEPARATION, y_label="K (N/mm)", series=_by_name(stiffness, "d_v_mm", "K_N_per_mm")

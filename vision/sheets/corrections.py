@@ -645,10 +645,9 @@ def follow_ridge(
         elif k == 0:
             seen = maxima[0][np.isfinite(maxima[0])]
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
-            found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
-            raise _NoRidgeNearError(
-                correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none"
-            )
+            places = " and ".join(f"{x_px:.0f}" for x_px in close)
+            found = f"the nearest at {places}" if places else "none"
+            raise _NoRidgeNearError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
     taken = others == x[:, None]
     return x, np.where(taken.any(axis=1), taken.argmax(axis=1), -1)
 
