@@ -29,7 +29,7 @@ from vision.numeric import (
 from vision.sample import Sample
 from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_name, sheet_names
 from vision.sheets.numbering import ends_in_view
-from vision.sheets.order import exchanged_frames
+from vision.sheets.order import out_of_turn, shown_before, wrong_period
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.reference import static_ridges
 from vision.sheets.settings import DEFAULT as TRACKING
@@ -129,7 +129,7 @@ DOUBTFUL = {
 def tracking_warnings(
     tracks: xr.Dataset, settings: CheckSettings = DEFAULT, tracking: TrackingSettings = TRACKING
 ) -> list[str]:
-    """Return warnings about polarity, frozen, exchanged or mixed frames, doubtful or missing positions,
+    """Return warnings about polarity, frozen, lost, misplaced or mixed frames, doubtful or missing positions,
     motion, a second comb, missed sheets."""
     return list(_of_tracks(tracks, settings, tracking))
 
@@ -191,14 +191,31 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
 
 
 def _wrong_moments(tracks: xr.Dataset, found: TrackMetadata, tracking: TrackingSettings) -> Iterator[str]:
-    """Warn of frames that were exchanged, or mixed from two."""
-    exchanged = exchanged_frames(tracks["x_px"].values, tracks["x_err_px"].values, tracking)
-    if len(exchanged):
+    """Warn of frames that are missing, in the wrong order, shown twice, or mixed from two."""
+    x_px, err_px, frame = (tracks[name].values for name in ("x_px", "x_err_px", "frame"))
+    repeats = shown_before(x_px)
+    if count := len(repeats.rows):
+        again, earlier = (first_of(frame[rows].tolist(), 5) for rows in repeats)
         yield (
-            f"{counted(len(exchanged), 'frame')} ({first_of(tracks['frame'].values[exchanged].tolist(), 5)})"
-            " and the next one seem to be exchanged, since all sheets go back between them: positions there"
-            " belong to the other frame's time, and others may be exchanged where the sheets rest: record or"
-            " convert the film again"
+            f"{counted(count, 'frame')} ({again}) repeat an earlier picture ({earlier}) with its noise: a"
+            " part of the film was written again, and the times from there on may be wrong: use the film as"
+            " the camera recorded it, or leave such frames out with `frames`"
+        )
+    if period := wrong_period(x_px, err_px, tracking):
+        yield (
+            f"in each {period} successive frames the order is wrong, since all sheets go back within them by"
+            " whole steps of their creep: positions belong to other times than stated: record or convert the"
+            " film again, with its frames in the order of display"
+        )
+    advances = out_of_turn(x_px, err_px, tracks["time_s"].values, tracking)
+    if count := len(advances.rows):
+        low, high = (f"{value:.2g}" for value in (advances.frames.min(), advances.frames.max()))
+        yield (
+            f"before {counted(count, 'frame')} ({first_of(frame[advances.rows].tolist(), 5)}) the sheets"
+            f" advance at once as far as they creep in {low if low == high else f'{low} to {high}'} frames:"
+            " frames are missing there, or in another order, and the times of the film are wrong: give the"
+            " camera's own times with `timestamps`, check the order of the files that the film was made of,"
+            " or record again"
         )
     if found.mixed_frames and not found.noise_lasts:
         yield (

@@ -1,7 +1,9 @@
-"""Frames that do not show one moment in its turn: neighbours in the wrong order, in which every sheet goes
-back for one frame, and frames that a converter mixed from two, which have less noise."""
+"""Frames that do not show one moment in its turn: missing ones and those in the wrong order, before which the
+sheets advance further than they creep, frames shown before, and mixtures of two, which have less noise."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,98 +16,151 @@ from vision.numeric import (
     in_two_threads,
     nan_median,
     row_parts,
+    sigma_about_zero,
     spread_indices,
 )
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
+from vision.video.times import usual_step_s
 
 FEWEST = 3  # sheets, less the motion that they share; and mixed frames, that scatter
 SUCCESSIVE = 64  # frames of a stretch that shows mixed frames
 STRETCHES = 32  # spread over a film
+LONGEST = 8  # group of frames in the wrong order
 AROUND = 9  # frames whose median change is usual
 NOISE_ORDER = 6  # of the differences along x, which hardly contain ridges
 
 
-def exchanged_frames(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Ints:
-    r"""Return the rows of frames that show what the next frame should, and the reverse; none if in doubt.
+class Advances(NamedTuple):
+    """Rows of frames before which the sheets advance too far, and by how many frames' creep each."""
 
-    x_px, err_px: positions and their errors (frame, N), NaN where missing.
+    rows: Ints
+    frames: Floats
 
-    Let :math:`a`, :math:`b` and :math:`c` be the displacements (N,) between four successive frames, less
-    what all sheets share, weighted by the errors. If the middle two are exchanged, these are :math:`p+q`,
-    :math:`-q` and :math:`q+r`, with the true displacements :math:`p`, :math:`q` and :math:`r`: b is opposite
-    to both others. Their sizes relative to b, :math:`-a\cdot b/b^2` and :math:`-c\cdot b/b^2`, are 1 if the
-    sheets slip between the exchanged frames, 2 if they creep, and 3 if both pairs beside them are exchanged
-    as well. Sheets or a camera that vibrate go back too, but by any part of the steps before and after, or
-    in many successive frames. Exchanged frames are therefore reported where their number exceeds
-    `exchanged_least` and twice that of the other returns, or where all frames are (`_pair_by_pair`).
+
+def out_of_turn(
+    x_px: Floats, err_px: Floats, time_s: Floats, settings: TrackingSettings = DEFAULT
+) -> Advances:
+    r"""Return the frames before which the sheets advance further than they creep in the time between.
+
+    x_px, err_px: positions and their errors (frame, N), NaN where missing.  time_s: (frame,), NaN where
+    unknown.
+
+    From one frame to the next the sheets move against each other by :math:`s_n`; their usual creep is the
+    median :math:`v_n`. With :math:`w_n` from the errors, they advance by
+
+    .. math:: \tau = \frac{\sum w_n v_n s_n}{\sum w_n v_n^2}
+
+    usual frames: 1 in creep, less than 0 in a slip, and more only where frames are missing or in another
+    order. A step is reported if :math:`\tau` exceeds the time between the frames, and the creep before and
+    after, by `advance_least` and `advance_sigmas` standard errors, with displacements of the pattern of the
+    creep. None is reported where sheets do not creep evenly (`advance_scatter`), as under vibration.
     """
-    if len(rows := _pair_by_pair(x_px, err_px, settings)):
-        return rows
-    ratio = np.zeros((2, max(0, len(x_px) - 3)))
+    none = Advances(np.zeros(0, np.int64), np.zeros(0))
+    rows = np.flatnonzero(np.isfinite(x_px).sum(axis=1) >= FEWEST)
+    if len(rows) < AROUND:
+        return none
+    usual_s = usual_step_s(time_s[np.isfinite(time_s)])
+    elapsed = np.fmax(np.diff(rows), np.diff(time_s[rows]) / (usual_s if usual_s > 0 else np.nan))
+    some = spread_indices(len(rows) - 1, SUCCESSIVE * STRETCHES)
+    step, weight = _against_each_other(x_px, err_px, rows[some], rows[some + 1])
+    creep = np.nan_to_num(nan_median(np.where(weight > 0, step, np.nan) / elapsed[some, None]))
+    advance, sigma, alike = np.zeros((3, len(elapsed)))
 
-    def compare(rows: slice) -> None:
-        part = slice(rows.start, rows.stop + 3)
-        ratio[:, rows] = _returns(x_px[part], err_px[part], settings)
+    def measure(part: slice) -> None:
+        step, weight = _against_each_other(x_px, err_px, rows[:-1][part], rows[1:][part])
+        usual = _less_shared(np.broadcast_to(creep, step.shape), weight)
+        power = np.maximum((weight * usual**2).sum(axis=1), 1e-12)
+        along = (weight * usual * step).sum(axis=1)
+        advance[part], sigma[part] = along / power, power**-0.5
+        alike[part] = along / np.sqrt(power * np.maximum((weight * step**2).sum(axis=1), 1e-12))
 
-    in_two_threads(compare, row_parts(ratio.shape[1]))
-    nearest = np.rint(ratio)
-    whole = ((nearest >= 1) & (np.abs(ratio - nearest) < settings.exchanged_whole)).all(axis=0)
-    beside, two_away = (np.pad(whole, distance) for distance in (1, 2))
-    creep = 2 + np.stack([two_away[:-4], two_away[4:]])
-    whole &= ((nearest == 1) | (nearest == creep)).all(axis=0) & ~beside[:-2] & ~beside[2:]
-    others = int(((ratio > 0).all(axis=0) & ~whole & ~beside[:-2] & ~beside[2:]).sum())
-    few = whole.sum() < settings.exchanged_least or whole.sum() <= 2 * others
-    return np.zeros(0, np.int64) if few else np.flatnonzero(whole) + 1
+    in_two_threads(measure, row_parts(len(elapsed)))
+    pace = np.pad(advance / elapsed, 1, constant_values=1.0)
+    excess = advance - elapsed * np.maximum(1.0, np.maximum(pace[:-2], pace[2:]))
+    scatter = float(sigma_about_zero(advance - elapsed))
+    typical = float(np.median(sigma))
+    if not (typical < settings.advance_clear and scatter < max(settings.advance_scatter, 1.5 * typical)):
+        return none
+    least = np.maximum(settings.advance_least, settings.advance_sigmas * np.maximum(sigma, scatter))
+    found = np.flatnonzero((excess > least) & (alike > settings.advance_alike))
+    return Advances(rows[found + 1], advance[found])
 
 
-def _pair_by_pair(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Ints:
-    """Return every second row of a film in which all frames are exchanged with the next, as by fields in the
-    wrong order, though the sheets creep too little for a pair to show it; none of other films.
+def _against_each_other(x_px: Floats, err_px: Floats, before: Ints, after: Ints) -> tuple[Floats, Floats]:
+    """Return displacements between rows less what all sheets share, 0 where unknown, and their weights."""
+    step, err = x_px[after] - x_px[before], np.maximum(err_px[after], err_px[before])
+    known = np.isfinite(step) & (err > 0)
+    weight = np.where(known, 0.5 / np.where(known, err, 1.0) ** 2, 0.0)
+    return _less_shared(np.where(known, step, 0.0), weight), weight
 
-    The median displacements over each other pair of frames are then 3 and -1 times the creep. Films are not
-    seen in which a frame is lost: from there on it is the other pairs that go back.
+
+def _less_shared(step: Floats, weight: Floats) -> Floats:
+    """Return displacements (step, N) less their weighted mean; 0 where they have no weight."""
+    shared = (weight * step).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-12)
+    return np.where(weight > 0, step - shared[:, None], 0.0)
+
+
+def wrong_period(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> int:
+    r"""Return in groups of how many frames a film is in the wrong order throughout; 0 if it is not.
+
+    x_px, err_px: as for `out_of_turn`.
+
+    Fields in the wrong order exchange all pairs of frames, and a decoder that returns pictures as they are
+    stored puts each before those predicted from it. The median displacements at each place in the group are
+    then whole multiples of the creep, some of them negative, whose sums reach every place once. Films are not
+    seen in which a frame is lost: from there on the places are others.
     """
-    none = np.zeros(0, np.int64)
-    if len(x_px) < 2 * FEWEST + 1:
-        return none
-    first = 2 * spread_indices((len(x_px) - 1) // 2, SUCCESSIVE * STRETCHES)
-    steps = np.stack([nan_median(x_px[first + k + 1] - x_px[first + k]) for k in (0, 1)])
-    variance = np.pi * nan_median(err_px[first]) ** 2 / len(first)  # of such a median
-    known = np.isfinite(steps).all(axis=0) & (variance > 0)
-    if known.sum() < FEWEST:
-        return none
-    weight = 1 / variance[known]
-    steps = steps[:, known] - np.average(steps[:, known], axis=1, weights=weight)[:, None]
-    power = steps**2 @ weight
-    back = int(power.argmin())
-    off = (3 * steps[back] + steps[1 - back]) ** 2 @ weight
-    clear = power[back] > max(settings.exchanged_clear, 8 * known.sum())
-    exchanged = clear and off < settings.exchanged_whole**2 * power[1 - back]
-    return np.arange(back, len(x_px) - 1, 2) if exchanged else none
+    for period in range(2, LONGEST + 1):
+        groups = (len(x_px) - 1) // period
+        if groups < FEWEST:
+            break
+        first = period * spread_indices(groups, SUCCESSIVE * STRETCHES)
+        steps = np.stack([nan_median(x_px[first + k + 1] - x_px[first + k]) for k in range(period)])
+        variance = np.pi * nan_median(err_px[first]) ** 2 / len(first)  # of such a median
+        known = np.isfinite(steps).all(axis=0) & (variance > 0)
+        weight = np.where(known, 1 / np.where(known, variance, 1.0), 0.0)
+        steps = _less_shared(np.where(known, steps, 0.0), np.broadcast_to(weight, steps.shape))
+        creep = steps[(steps**2 @ weight).argmin()]  # one step, forward or back
+        creep = creep * np.sign(steps.sum(axis=0) @ (weight * creep))
+        power = float(creep**2 @ weight)
+        if known.sum() < FEWEST or power <= max(settings.order_clear, 8 * known.sum()):
+            continue
+        whole = np.rint(steps @ (weight * creep) / power)
+        off = ((steps - whole[:, None] * creep) ** 2 @ weight).sum()
+        if (
+            whole.min() < 0
+            and np.abs(whole).max() < 2 * period
+            and whole.sum() == period == len(np.unique(np.cumsum(whole) % period))
+            and off < settings.order_whole**2 * (steps**2 @ weight).sum()
+        ):
+            return period
+    return 0
 
 
-def _returns(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Floats:
-    """Return the steps before and after over those by which the sheets return, (2, quadruple of frames), 0
-    where they do not, or by no more than noise."""
-    count = len(x_px) - 3
-    step = np.diff(x_px, axis=0)
-    err = np.maximum.reduce([err_px[k : k + count] for k in range(4)])
-    known = np.isfinite(step[:-2] + step[1:-1] + step[2:]) & (err > 0)
-    weight = np.where(known, 1 / np.where(known, err, 1.0) ** 2, 0.0)
-    total = np.maximum(weight.sum(axis=1), 1e-12)
+class Repeats(NamedTuple):
+    """Rows of frames that repeat an earlier one, and which."""
 
-    def relative(part: Floats) -> Floats:
-        part = np.where(known, part, 0.0)
-        shared = (weight * part).sum(axis=1) / total
-        return np.asarray(part - shared[:, None])
+    rows: Ints
+    earlier: Ints
 
-    before, back, after = (relative(step[k : k + count]) for k in range(3))
-    power, sheets = (weight * back**2).sum(axis=1), known.sum(axis=1)
-    against = -np.stack([(weight * part * back).sum(axis=1) for part in (before, after)])
-    ratio = against / np.maximum(power, 1e-12)
-    clear = (sheets >= FEWEST) & (power > np.maximum(settings.exchanged_clear, 8 * sheets))
-    return np.where(clear & (ratio.min(axis=0) > settings.exchanged_returns), ratio, 0.0)
+
+def shown_before(x_px: Floats) -> Repeats:
+    """Return the frames whose positions (frame, N) all equal those of an earlier frame, but not of the last.
+
+    Noise never repeats: the film shows that picture again.
+    """
+    rows = np.flatnonzero(np.isfinite(x_px).sum(axis=1) >= FEWEST)
+    total = np.nansum(x_px[rows], axis=1)
+    order = np.argsort(total, kind="stable")
+    alike = np.flatnonzero(np.diff(total[order]) == 0)
+    before, after = order[alike], order[alike + 1]
+    same = after != before + 1
+    same[same] = (np.nan_to_num(x_px[rows[before[same]]]) == np.nan_to_num(x_px[rows[after[same]]])).all(
+        axis=1
+    )
+    place = np.argsort(after[same])
+    return Repeats(rows[after[same]][place], rows[before[same]][place])
 
 
 def mixed_frames(profile: Floats32, frozen: Bools, settings: TrackingSettings = DEFAULT) -> float:

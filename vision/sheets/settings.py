@@ -391,24 +391,35 @@ class TrackingSettings(Tunable):
     """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
     middle of two sheets, smaller withholds blurred ones."""
 
-    # --- frames in the wrong order, or mixed from two (order.py) ---
+    # --- frames that are missing, in the wrong order, or mixed from two (order.py) ---
 
-    exchanged_clear: float = 400.0
-    """Square of a displacement of all sheets against each other, in their errors, from which its ratio to the
-    next is used. Smaller lets noise change the ratios by more than `exchanged_whole`; larger sees exchanged
-    frames in slips only."""
+    advance_least: float = 0.6
+    """Frames of creep by which sheets must advance too far in one step for frames to be missing or in another
+    order. One lost frame is 1. Smaller warns of uneven creep, larger misses single frames (test_order.py)."""
 
-    exchanged_whole: float = 0.3
-    """Deviation of those ratios from a whole number at which frames may still be exchanged. Smaller misses
-    them where sheets creep unevenly, larger takes more of a vibration for them (test_order.py)."""
+    advance_sigmas: float = 6.0
+    """Standard errors by which this must be clear. Smaller warns of noise in long films, larger misses frames
+    lost in slow ones."""
 
-    exchanged_returns: float = 0.2
-    """Ratio from which sheets go back by more than noise. Larger does not count vibration that is damped,
-    smaller counts noise, and both hide or show exchanged frames by chance."""
+    advance_alike: float = 0.7
+    """Correlation of such displacements with the creep of the sheets. Smaller takes sheets that jump on their
+    own for lost frames, larger misses parts in another order, where sheets stand otherwise."""
 
-    exchanged_least: int = 3
-    """Number of exchanged pairs of frames below which none is reported: fewer agree by chance in one film of
-    a hundred that vibrates. Larger is silent in films where few frames are exchanged."""
+    advance_scatter: float = 0.4
+    """Scatter of the advance from frame to frame, in frames, above which sheets do not creep evenly enough.
+    Larger takes vibration for lost frames, smaller is silent in films of uneven creep."""
+
+    advance_clear: float = 1.0
+    """Error of the advance in one step, in frames, from which nothing is reported. Larger takes other motion
+    for lost frames, as of markers that ring after release (3 to 6), smaller is silent where creep is slow."""
+
+    order_clear: float = 400.0
+    """Square of the creep at each place in groups of frames, in its errors, from which it shows their order.
+    Smaller lets noise decide, larger misses films in the wrong order in which the sheets creep slowly."""
+
+    order_whole: float = 0.3
+    """Relative deviation from whole multiples of the creep at which such groups may be in the wrong order.
+    Larger takes more of a vibration for it (test_order.py)."""
 
     mixed_change: float = 0.6
     """Square of the change from the frame before, over the usual one, below which a frame may be mixed from
