@@ -33,9 +33,12 @@ def test_quiet_frames_of_a_moving_film_are_no_repeats():
 
 
 def averaged_in_time(picture, how):
-    """The strip as a camera records it that mixes each frame with the one before, or with both beside it."""
+    """The strip as a camera records it that mixes each frame with those before, or with both beside it."""
     picture, values = picture.copy(deep=True), picture.values.copy()
-    if how == "median":
+    if how in ("of two", "of three"):
+        before = [np.vstack([values[:1]] * k + [values[: len(values) - k]]) for k in range(3)]
+        picture.values[:] = np.mean(before[: 2 + (how == "of three")], axis=0)
+    elif how == "median":
         picture.values[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
     elif how:
         for frame in range(1, len(values)):
@@ -43,7 +46,7 @@ def averaged_in_time(picture, how):
     return picture
 
 
-@pytest.mark.parametrize("how", [0.3, 0.6, "median"])
+@pytest.mark.parametrize("how", [0.3, 0.6, "median", "of two", "of three"])
 def test_frames_averaged_in_time_are_said_to_be(how):
     """A failure means that positions up to a pixel late after slips pass for precise to 0.01 px."""
     x = comb(240, per_side=12, axis_px=320, slip=0.25, period=40)

@@ -48,6 +48,7 @@ TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 AT_REST_PX = 0.1  # motion from frame to frame that hardly changes a ridge's pixels beyond a fitted shift
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
+NO_MORE = 1.2  # most variance at six frames over that at four, of noise that lasts for fewer
 NO_LESS = 0.9  # least variance at four and six frames over that at a shorter lag, of noise that lasts
 
 
@@ -562,10 +563,12 @@ def noise_correlation(
 
     With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one, and longer lags have no
-    less. Unequal pixels under a comb that vibrates over them leave less at some longer lag. Motion that the
-    fitted changes do not describe, as of sheets that ring, adds to longer lags: ridges that hardly move
-    between the frames decide, where they are as many. It is not clear in films with fewer than
-    `CORRELATED_RIDGES` differences, and where noise is less than `WHOLE_LEVELS`, which is rounding.
+    less. The mean of three frames or more has over twice the variance at two, and soon no more than
+    :math:`3/((1 - \rho)(3 - \rho))` times that at one. Unequal pixels under a comb that vibrates over them
+    leave less at some longer lag. Motion that the fitted changes do not describe, as of sheets that ring,
+    adds to longer lags: ridges that hardly move between the frames decide, where they are as many. It is not
+    clear in films with fewer than `CORRELATED_RIDGES` differences, and where noise is less than
+    `WHOLE_LEVELS`, which is rounding.
     """
 
     def typical(lag: int) -> float:
@@ -580,15 +583,17 @@ def noise_correlation(
         return float(nan_median(nan_median(variance, axis=0)))
 
     one, two = typical(1), typical(2)
-    # Noise that lasts for ever would have twice the variance at twice the lag.
-    if not (one > WHOLE_LEVELS**2 and two < 2.1 * one):
-        return 0.0
     rho = np.linspace(0, 1, 101)
-    found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
-    if not found > least:
+    found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho)) if one > 0 else 0.0
+    if not (one > WHOLE_LEVELS**2 and found > least):
         return 0.0
     three, four, six = typical(3), typical(4), typical(6)
-    lasts = three > two and min(four / three, six / four) > NO_LESS and four / two < 1.2 * two / one
+    if two > 2 * one:
+        # Noise that lasts for ever would have twice the variance at twice the lag.
+        if two > 2.1 * one and six > NO_MORE * four:
+            return 0.0
+        found = 2 - float(np.sqrt(1 + 3 * one / six))
+    lasts = min(three / two, four / three, six / four) > NO_LESS and four / two < 1.2 * two / one
     return found if lasts else 0.0
 
 
