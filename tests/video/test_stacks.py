@@ -341,7 +341,18 @@ def test_numbers_that_are_no_frame_count(tmp_path):
     )
     video = open_video(folder)
     assert states(video) == ["ok"] * 6
-    assert "only their order" in video.warnings[0]
+    first, last = sorted(file.name for file in folder.iterdir())[:: len(comb()) - 1]
+    assert f"only their order is used, from {first} to {last}: check" in video.warnings[0]
+
+
+def test_numbers_without_zeros_in_front(tmp_path):
+    """Failure: frame_10 is read before frame_2, as names are sorted."""
+    frames = comb(count=12)
+    folder = write_images(tmp_path / "f", frames, numbers=[*range(12)])
+    for file in folder.iterdir():
+        file.rename(file.with_stem(f"frame_{int(file.stem.split('_')[-1])}"))
+    assert sorted(file.name for file in folder.iterdir())[2].startswith("frame_10.")
+    assert np.array_equal(whole(open_video(folder)), frames)
 
 
 def test_every_tenth_image(tmp_path):

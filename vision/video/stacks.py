@@ -437,21 +437,26 @@ def _numbered(files: list[Path], path: Path) -> tuple[tuple[Path | None, ...], t
             raise InputError(path, "one image per frame number", both, "give a pattern that fits one series")
         by_number[number] = file
     numbers = np.array(sorted(by_number), np.int64)
-    places, warnings = _frame_numbers(numbers, path)
+    span = f"{by_number[int(numbers[0])].name} to {by_number[int(numbers[-1])].name}"
+    places, warnings = _frame_numbers(numbers, path, span)
     frames: list[Path | None] = [None] * (int(places[-1]) + 1)
     for place, number in zip(places.tolist(), numbers.tolist(), strict=True):
         frames[place] = by_number[number]
     return tuple(frames), warnings
 
 
-def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
-    """Return frame numbers from 0 for file numbers, which may count in steps or not at all."""
+def _frame_numbers(numbers: Ints, path: Path, span: str) -> tuple[Ints, tuple[str, ...]]:
+    """Return frame numbers from 0 for file numbers, which may count in steps or not at all.
+    span: names of the first and the last file."""
     steps, counts = np.unique(np.diff(numbers), return_counts=True)
     usual = int(steps[np.argmax(counts)])
     if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # few files do not prove a step
         return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
     if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine in ten frames lost is unlikely: clock times, say
-        text = f"{path.name}: file numbers are not frame numbers; only their order is used"
+        text = (
+            f"{path.name}: file numbers are not frame numbers; only their order is used, from {span}: check"
+            " it, as a camera may have begun to count anew"
+        )
         return np.arange(numbers.size), (text,)
     return numbers - numbers[0], ()
 
