@@ -190,6 +190,21 @@ class VideoSettings(Tunable):
     """Frames at the end of a growing file that are not read yet: they may be incomplete, and decoders return
     the last ones in another order. More lags behind the camera, fewer reads half-written frames."""
 
+    # torn frames (torn.py)
+    torn_lag: float = 0.3
+    """Time from the upper to the lower half of the strip, and its difference from the usual one, in frames,
+    from which a frame is torn. A tear in the middle has 1. Smaller takes noise for it, larger misses tears
+    near the edges (test_torn.py)."""
+    torn_sigmas: float = 6.0
+    """Errors by which this must be clear. Smaller takes light and vibration for it, larger misses torn frames
+    in which the sheets hardly move."""
+    torn_share: float = 0.02
+    """Share of the frames that must be torn. Smaller warns of chance, larger misses films in which few frames
+    are torn; of a tenth of torn frames 2 to 8 % are clear."""
+    torn_least: int = 5
+    """Number of torn frames below which none is reported. Smaller warns of chance in short films, larger is
+    silent in these."""
+
     # memory
     spill_bytes: int = 32 << 20
     """Size of I(x, t) above which it is stored in a temporary file, of which little is in memory at a time.

@@ -32,6 +32,7 @@ from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.times import are_uneven, lost_between, thinned_from, usual_step_s
+from vision.video.torn import TornFrames
 from vision.video.video import Video, cut
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
@@ -120,9 +121,13 @@ def strip_profile(
         first = max(0, store.count - count)
         return plan.assembled(video, store.copy(first, store.count), first)
 
+    torn = TornFrames(plan.strip.rows, settings)
     for latest, block in _blocks(video, plan, store.count, follow):
         video = latest
-        store.add(_reduced(video, block))
+        read = _reduced(video, block)
+        store.add(read)
+        half = max(1, block.pixels.shape[1] // 2)
+        torn.add(read.intensity, row_means(block.pixels[:, :half]), read.status == "ok", block.start)
         if log is not None:
             log.add(store)
         if progress is not None:
@@ -136,6 +141,7 @@ def strip_profile(
             last = video.first + store.count - 1
             line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
             video = replace(video, warnings=(*video.warnings, line))
+    video = replace(video, warnings=(*video.warnings, *torn.warnings(video.path.name)))
     profile = plan.assembled(video, store.part(0, store.count))
     _check_shows_something(video, profile["status"].values)
     return profile
