@@ -126,8 +126,9 @@ def strip_profile(
         video = latest
         read = _reduced(video, block)
         store.add(read)
-        half = max(1, block.pixels.shape[1] // 2)
-        torn.add(read.intensity, row_means(block.pixels[:, :half]), read.status == "ok", block.start)
+        if torn.examines(block.start):
+            half = max(1, block.pixels.shape[1] // 2)
+            torn.add(read.intensity, row_means(block.pixels[:, :half]), read.status == "ok", block.start)
         if log is not None:
             log.add(store)
         if progress is not None:

@@ -12,6 +12,7 @@ PARTS = 8  # of the columns, which must agree
 LEAST_ROWS = 4  # of half a strip
 LEAST_COLUMNS = 64
 LARGEST = 1e15  # grey level whose square is a number in single precision
+ALL_EXAMINED, ONE_IN = 512, 8  # frames at the beginning; later one block in eight, which costs less time
 
 
 class TornFrames:
@@ -31,10 +32,19 @@ class TornFrames:
 
     def __init__(self, rows: slice, settings: VideoSettings) -> None:
         self._rows, self._settings = rows.stop - rows.start, settings
+        self._blocks = 0
         self._last: tuple[Floats32, Floats32] | None = None  # mean, and lower less upper half
         self._lag: list[Floats] = []
         self._err: list[Floats] = []
         self._frame: list[Ints] = []
+
+    def examines(self, first: int) -> bool:
+        """Tell whether the next block, which begins with this frame, is to be added."""
+        self._blocks += 1
+        due = first < ALL_EXAMINED or self._blocks % ONE_IN == 0
+        if not due:
+            self._last = None
+        return due
 
     def add(self, mean: Floats32, upper: Floats32, usable: Bools, first: int) -> None:
         """Add a block: means of all rows and of the upper half, (frame, x), which frames are usable, and the
@@ -87,10 +97,11 @@ class TornFrames:
         count = int(torn.sum())
         if count < max(settings.torn_least, settings.torn_share * len(lag)):
             return []
+        named = first_of(frame[torn].tolist(), 5)
         return [
-            f"{name}: in {count} of {len(lag)} frames ({first_of(frame[torn].tolist(), 5)}) the upper and the"
-            " lower rows show different times, as where a picture is replaced while it is read (torn frames),"
-            " or rows are exposed in turn: positions there lie between those of two moments, by more than"
-            " x_err_px where sheets move, and other frames may be torn as well: record the camera's own"
-            " frames, not those of a screen, or choose fewer rows (`rows`)"
+            f"{name}: in {count} of {len(lag)} frames examined ({named}) the upper and the lower rows show"
+            " different times, as where a picture is replaced while it is read (torn frames), or rows are"
+            " exposed in turn: positions there lie between those of two moments, by more than x_err_px where"
+            " sheets move, and other frames may be torn as well: record the camera's own frames, not those of"
+            " a screen, or choose fewer rows (`rows`)"
         ]
