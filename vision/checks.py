@@ -198,8 +198,9 @@ def _wrong_moments(tracks: xr.Dataset, found: TrackMetadata, tracking: TrackingS
         again, earlier = (first_of(frame[rows].tolist(), 5) for rows in repeats)
         yield (
             f"{counted(count, 'frame')} ({again}) repeat an earlier picture ({earlier}) with its noise: a"
-            " part of the film was written again, and the times from there on may be wrong: use the film as"
-            " the camera recorded it, or leave such frames out with `frames`"
+            " part of the film was written again, and the times from there on may be wrong, unless the film"
+            " was computed without noise: use it as the camera recorded it, or leave such frames out with"
+            " `frames`"
         )
     if period := wrong_period(x_px, err_px, tracking):
         yield (

@@ -28,6 +28,7 @@ SUCCESSIVE = 64  # frames of a stretch that shows mixed frames
 STRETCHES = 32  # spread over a film
 LONGEST = 8  # group of frames in the wrong order
 AROUND = 9  # frames whose median change is usual
+SWING = 4  # frames after a slip in which sheets may swing back
 NOISE_ORDER = 6  # of the differences along x, which hardly contain ridges
 
 
@@ -54,7 +55,8 @@ def out_of_turn(
     usual frames: 1 in creep, less than 0 in a slip, and more only where frames are missing or in another
     order. A step is reported if :math:`\tau` exceeds the time between the frames, and the creep before and
     after, by `advance_least` and `advance_sigmas` standard errors, with displacements of the pattern of the
-    creep. None is reported where sheets do not creep evenly (`advance_scatter`), as under vibration.
+    creep. None is reported where sheets do not creep evenly (`advance_scatter`), as under vibration, and in
+    the `SWING` frames after a slip, from which sheets swing back.
     """
     none = Advances(np.zeros(0, np.int64), np.zeros(0))
     rows = np.flatnonzero(np.isfinite(x_px).sum(axis=1) >= FEWEST)
@@ -83,8 +85,21 @@ def out_of_turn(
     if not (typical < settings.advance_clear and scatter < max(settings.advance_scatter, 1.5 * typical)):
         return none
     least = np.maximum(settings.advance_least, settings.advance_sigmas * np.maximum(sigma, scatter))
-    found = np.flatnonzero((excess > least) & (alike > settings.advance_alike))
+    too_far = (excess > least) & (alike > settings.advance_alike)
+    found = np.flatnonzero(too_far & ~_swings_back(advance - elapsed, least))
     return Advances(rows[found + 1], advance[found])
+
+
+def _swings_back(excess: Floats, least: Floats) -> Bools:
+    """Return which steps follow one outwards so closely that sheets may swing back after a slip, (step,).
+
+    A frame that shows an earlier moment also begins with a step outwards, but the next one makes up for it.
+    """
+    swings, total = np.zeros(len(excess), bool), np.concatenate([[0.0], np.cumsum(excess)])
+    for lag in range(1, min(SWING, len(excess)) + 1):
+        made_up = np.abs(total[lag + 1 :] - total[: -lag - 1]) < least[lag:]
+        swings[lag:] |= (excess[:-lag] < -least[lag:]) & ~made_up
+    return swings
 
 
 def _against_each_other(x_px: Floats, err_px: Floats, before: Ints, after: Ints) -> tuple[Floats, Floats]:
