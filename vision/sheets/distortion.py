@@ -318,7 +318,7 @@ def distortion(
         del shapes[1:]
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
-    scale = displacement_scale_error(x_px, shapes, settings)
+    scale = displacement_scale_error(x_px, shapes, comb)
     rest = typical_median(x_px)
     size = _shift_by_light(rest, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
@@ -425,28 +425,35 @@ class _Difference(NamedTuple):
     noise: float
 
 
-def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
+def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeComb) -> Floats:
     r"""Return the relative error of each sheet's displacements from what stands still in the picture, (N,).
 
     Dirt on the lens or on the sensor changes a ridge that moves past it. Where it dims the light by a factor
     T(x), it shifts a ridge of standard deviation :math:`\sigma_r` by
     :math:`\sigma_r^2\,\mathrm{d} \ln T/\mathrm{d}x`. This shift changes as the ridge moves, so that all
-    displacements of the sheet are too large or too small by the same factor. Positions alone do not show it,
-    but the ridge's shape and height change with its position.
+    displacements of the sheet are too large or too small by the same factor,
+    :math:`\sigma_r^2\,\mathrm{d}^2 \ln T/\mathrm{d}x^2`. Positions alone do not show it, but the ridge's
+    height, in proportion to T, and its shape change with its position.
 
     shape: the logarithm of the height and, where flanks do not overlap, the differences between the fits of
-    `distortion`, px, (frame, N). The regression of each on the position, less what neighbouring sheets share
-    (paper that leans as it creeps), times `static_scale`, is the error, where it is significant. Below
-    `static_floor` it is 0.
+    `distortion`, px, (frame, N). The slope of each over the position, times `static_scale`, and, where flanks
+    do not overlap, the curvature of the first, times :math:`\sigma_r^2`, less what neighbouring sheets share
+    (paper that leans as it creeps), are the error, where they are significant. Below `static_floor` it is 0.
     """
-    square = np.zeros(x_px.shape[1])
+    settings, square = comb.settings, np.zeros(x_px.shape[1])
+    size = min(settings.leaning_sheets, x_px.shape[1])
+    ends = size // 2, (size - 1) // 2  # the outermost sheets are compared with those further in
+    bent = (comb.fwhm_px / FWHM) ** 2 if len(shape) > 1 else 0.0
     for values, factor in zip(shape, settings.static_scale, strict=False):
-        both = zip(x_px.T, values.T, strict=True)
-        each = in_two_threads(lambda pair: _regression(*pair), both)
-        slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
-        slope = slope - running_median(slope, settings.leaning_sheets)
-        found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
-        square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
+        pairs = zip(x_px.T, values.T, strict=True)
+        each = in_two_threads(lambda pair: _regression(*pair), pairs)
+        slope, curvature, *errors2, count = np.array(each, np.float64).reshape(-1, 5).T
+        for found, error2, over in zip((slope, curvature), errors2, (factor, bent), strict=True):
+            usual = running_median(found, size)[ends[0] : len(found) - ends[1]]
+            own = found - np.pad(usual, ends, "edge")
+            clear = (own**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
+            square += np.where(clear, over**2 * (own**2 - error2), 0.0)
+        bent = 0.0
     return _if_above(np.sqrt(square), settings.static_floor)
 
 
@@ -497,16 +504,20 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
     return float(np.sum(shared**2 / spread)) / total, cells * variance / total
 
 
-def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
-    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
+def _regression(x: Floats, y: Floats) -> tuple[float, ...]:
+    """Return the slope and the curvature of y over x, both (frame,), their squared errors, and the number of
+    known values. The slope is that of a straight line."""
     known = np.isfinite(y) & np.isfinite(x)
     count = max(int(known.sum()), 1)
     x, y = centred(x, known), centred(y, known)
-    spread = max(float((x**2).sum()), 1e-12)
-    slope = float((x * y).sum()) / spread
-    rest = y - slope * x
-    variance = float((rest**2).sum()) / max(count - 2, 1) * correlation_inflation(rest, 0.95)
-    return slope, variance / spread, count
+    bend = centred(x**2 / 2, known)
+    bend -= float((bend * x).sum()) / max(float((x**2).sum()), 1e-12) * x
+    terms = np.stack([x, bend])
+    spread = np.maximum((terms**2).sum(axis=1), 1e-12)
+    found = terms @ y / spread
+    rest = y - found @ terms
+    variance = float((rest**2).sum()) / max(count - 3, 1) * correlation_inflation(rest, 0.95)
+    return (*found, *(variance / spread), count)
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
