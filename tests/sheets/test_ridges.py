@@ -310,6 +310,23 @@ def test_a_lit_field_that_ends_beside_the_comb_is_not_the_background(sign):
     assert chosen(light - 0.6 * lamp, sign)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_gaps_that_open_and_close_in_a_surround_like_the_sheets_are_doubted(seed, sign):
+    """Wide dark sheets before a lamp that ends with them, which shines through the gaps unequally: all but
+    the changes of the widths in time speaks for the narrow bright gaps. A failure means that nobody is
+    told."""
+    random = np.random.default_rng(seed)
+    x = comb(FRAMES, per_side=10, pitch_px=18.0, axis_px=WIDTH / 2, slip=0.6, uneven=0.03, seed=seed)
+    flat, columns = random.normal(11, 0.9, 20), np.arange(WIDTH)
+    sheets = sum(ridges(x[:, [n]], width=WIDTH, fwhm_px=2.0, flat_px=flat[n]) for n in range(20))
+    lamp = np.interp(columns, x.mean(axis=0), 1 + 0.15 * random.normal(size=20))
+    lamp *= (columns > x.min() - 4) & (columns < x.max() + 4)
+    found = describe_ridges(strip(lamp * (1 - 0.85 * sheets), snr=200, sign=sign).values)
+    assert found.polarity == ("bright" if sign > 0 else "dark")
+    assert "change their widths" in found.doubt
+
+
 def boards(x, *, away_px):
     """Light of boards as bright as a sheet, whose edges stand this far beyond the outermost sheets."""
     columns = np.arange(WIDTH)

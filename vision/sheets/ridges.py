@@ -308,7 +308,7 @@ def _choose_polarity(
     """
     line = _smoothed(sample, SEARCH_SIGMA_PX)
     narrower = float(np.log(dark.comb.fwhm_px / bright.comb.fwhm_px))
-    background = widths = heights = 0.0
+    background = widths = heights = changes = 0.0
     if even := min(len(bright.spacing), len(dark.spacing)) > 0:
         spacings = bright.spacing, dark.spacing
         pitch = float(np.median(np.concatenate(spacings)))
@@ -316,17 +316,19 @@ def _choose_polarity(
         even = bool((quartiles[:, 1] <= settings.even_spacing * quartiles[:, 0]).all())
         background = _background(line, bright, dark, pitch, settings.background_margin)
         if even:
-            widths, heights = _variation(line, bright, dark, pitch)
+            changes, widths, heights = _variation(line, bright, dark, pitch)
     varied, clear, doubt = widths + heights, settings.clear_evidence, ""
     background_decides = abs(background) > settings.background_decides
     if background_decides:
         is_bright = background > 0
-        if _clipped(line, bright, settings):  # all that is bright has the same level
-            varied = widths
+        if _clipped(line, bright, settings):  # all that is bright has the same level, and unlike edges
+            varied, changes = widths, 0.0
         if varied * background < 0 and abs(varied) >= settings.polarity_evidence:
             if abs(varied) >= clear and varied * narrower > 0:
                 is_bright = varied > 0
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
+        elif changes * background <= -settings.polarity_evidence:
+            doubt = "they change their widths, and the stripes between them do not"
     else:
         few = min(bright.comb.count, dark.comb.count) < FEWEST
         is_bright, doubt = _polarity_of_stripes(widths, heights, narrower, background, settings, few=few)
@@ -384,9 +386,11 @@ def _alternate(line: Floats32, bright: _MainRidges, dark: _MainRidges, settings:
     return bool(step < settings.ground_step and abs(level - 0.5) < settings.ground_level)
 
 
-def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float) -> tuple[float, float]:
-    """Return what the variation of widths and of levels say: a positive number if the bright stripes are the
-    sheets, a negative one if the dark ones are, 0 if nothing tells.
+def _variation(
+    line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float
+) -> tuple[float, float, float]:
+    """Return what changes of widths in time, widths with these changes, and levels say: a positive number if
+    the bright stripes are the sheets, a negative one if the dark ones are, 0 if nothing tells.
 
     Sheets are alike in width and keep their widths, while gaps do not. And two sheets differ in brightness,
     while two gaps show the same background. `line` is the sample, lightly smoothed.
@@ -396,9 +400,9 @@ def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: fl
     widths = [_bend(stripes.width) for stripes in halves]
     heights = [_bend([row[x] for row, x in zip(line, stripes.x, strict=True)]) for stripes in (bright, dark)]
     if not min(*changes, *widths, *heights) > 0:
-        return 0.0, 0.0
-    said = float(np.log(changes[1] / changes[0] * widths[1] / widths[0]))
-    return said, float(np.log(heights[0] / heights[1]))
+        return 0.0, 0.0, 0.0
+    in_time, in_space = (float(np.log(dark / bright)) for bright, dark in (changes, widths))
+    return in_time, in_time + in_space, float(np.log(heights[0] / heights[1]))
 
 
 def _clipped(line: Floats32, bright: _MainRidges, settings: TrackingSettings) -> bool:

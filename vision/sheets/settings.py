@@ -62,9 +62,9 @@ class TrackingSettings(Tunable):
     polarity_evidence: float = 0.5
     """Least evidence that decides which stripes of a comb without ends are the sheets: the logarithm of how
     much more the others change their widths and differ in width, times how much more they themselves differ
-    in brightness. As much against the background beside the comb is warned of, and so are fewer than five
-    stripes whose widths differ by less. Larger leaves more combs to their widths alone, smaller decides by
-    chance where nothing moves and all sheets are alike."""
+    in brightness. As much against the background beside the comb is warned of, also of the changes alone, and
+    so are fewer than five stripes whose widths differ by less. Larger leaves more combs to their widths
+    alone, smaller decides by chance where nothing moves and all sheets are alike."""
 
     clear_evidence: float = 1.0
     """Evidence of this kind that overrules the background beside the comb if the stripes are also narrower;
