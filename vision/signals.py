@@ -16,19 +16,22 @@ from vision.numeric import AT_ONCE, Floats, Ints, row_parts
 
 
 def running_median(
-    values: NDArray[np.floating], size: int, *, ends: Literal["edge", "symmetric"] = "edge"
+    values: NDArray[np.floating], size: int, *, ends: Literal["edge", "symmetric", "inside"] = "edge"
 ) -> Floats:
     """Return the running median; for an even `size`, the upper of the two middle values.
 
     values: (samples,), without NaN.  size: length of the window in samples.  ends: padding beyond the ends:
-    the outermost value, or the mirrored signal.
+    the outermost value, or the mirrored signal; or "inside", the outermost window without any, in which the
+    outermost value counts once.
     """
-    padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
-    windows, middle = sliding_window_view(padded, size), size // 2
+    size = min(size, len(values)) if ends == "inside" else size
+    before, after = size // 2, (size - 1) // 2
+    table = np.asarray(values, np.float64)
+    windows = sliding_window_view(table if ends == "inside" else np.pad(table, (before, after), ends), size)
     median = np.empty(len(windows))
     for part in row_parts(len(windows), max(1, 4 * AT_ONCE // size)):
-        median[part] = np.partition(windows[part], middle, axis=1)[:, middle]
-    return median
+        median[part] = np.partition(windows[part], before, axis=1)[:, before]
+    return np.pad(median, (before, after), "edge") if ends == "inside" else median
 
 
 def running_mean(values: NDArray[np.floating], size: int) -> Floats:

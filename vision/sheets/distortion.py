@@ -441,16 +441,13 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
     (paper that leans as it creeps), are the error, where they are significant. Below `static_floor` it is 0.
     """
     settings, square = comb.settings, np.zeros(x_px.shape[1])
-    size = min(settings.leaning_sheets, x_px.shape[1])
-    ends = size // 2, (size - 1) // 2  # the outermost sheets are compared with those further in
     bent = (comb.fwhm_px / FWHM) ** 2 if len(shape) > 1 else 0.0
     for values, factor in zip(shape, settings.static_scale, strict=False):
         pairs = zip(x_px.T, values.T, strict=True)
         each = in_two_threads(lambda pair: _regression(*pair), pairs)
         slope, curvature, *errors2, count = np.array(each, np.float64).reshape(-1, 5).T
         for found, error2, over in zip((slope, curvature), errors2, (factor, bent), strict=True):
-            usual = running_median(found, size)[ends[0] : len(found) - ends[1]]
-            own = found - np.pad(usual, ends, "edge")
+            own = found - running_median(found, settings.leaning_sheets, ends="inside")
             clear = (own**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
             square += np.where(clear, over**2 * (own**2 - error2), 0.0)
         bent = 0.0

@@ -549,7 +549,7 @@ def spacing_sizes(x_px: Floats, *, settings: TrackingSettings) -> tuple[Floats, 
     spacing = np.diff(x_px)
     if spacing.size < 8:
         return np.full(spacing.shape, np.nan), np.zeros(spacing.shape, bool)
-    size = spacing / running_median(spacing, 9)
+    size = spacing / running_median(spacing, 9, ends="inside")
     log = np.log(size)
     scatter = float(mad_sigma(log))
     # an uneven comb has wide spacings anyway
