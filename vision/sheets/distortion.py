@@ -439,19 +439,32 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
     `distortion`, px, (frame, N). The slope of each over the position, times `static_scale`, and, where flanks
     do not overlap, the curvature of the first, times :math:`\sigma_r^2`, less what neighbouring sheets share
     (paper that leans as it creeps), are the error, where they are significant. Below `static_floor` it is 0.
+    A sheet that moves alone has no such curvature, as its height changes with the distance of its neighbours.
     """
     settings, square = comb.settings, np.zeros(x_px.shape[1])
-    bent = (comb.fwhm_px / FWHM) ** 2 if len(shape) > 1 else 0.0
+    alone = np.full(x_px.shape[1], len(shape) == 1) | _moves_alone(x_px, settings)
+    bent = np.where(alone, 0.0, (comb.fwhm_px / FWHM) ** 2)
     for values, factor in zip(shape, settings.static_scale, strict=False):
         pairs = zip(x_px.T, values.T, strict=True)
         each = in_two_threads(lambda pair: _regression(*pair), pairs)
         slope, curvature, *errors2, count = np.array(each, np.float64).reshape(-1, 5).T
-        for found, error2, over in zip((slope, curvature), errors2, (factor, bent), strict=True):
+        of_slope, of_curvature = errors2
+        for found, error2, over in ((slope, of_slope, factor), (curvature, of_curvature, bent)):
             own = found - running_median(found, settings.leaning_sheets, ends="inside")
             clear = (own**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
             square += np.where(clear, over**2 * (own**2 - error2), 0.0)
-        bent = 0.0
+        bent = np.zeros_like(bent)
     return _if_above(np.sqrt(square), settings.static_floor)
+
+
+def _moves_alone(x_px: Floats, settings: TrackingSettings) -> Bools:
+    """Return which sheets move against both neighbours, at the ends against one, by a good part of their
+    motion, (N,)."""
+    x = x_px[typical_rows(len(x_px))]
+    beside = np.pad(x, ((0, 0), (1, 1)), "reflect" if x.shape[1] > 1 else "edge")
+    apart = x - (beside[:, :-2] + beside[:, 2:]) / 2
+    own, all_ = (sigma_about_zero(each - nan_median(each)) for each in (apart, x))
+    return np.asarray(own > settings.moves_alone * all_, bool)
 
 
 def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
