@@ -22,9 +22,10 @@ def running_median(
 
     values: (samples,), without NaN.  size: length of the window in samples.  ends: padding beyond the ends:
     the outermost value, or the mirrored signal; or "inside", the outermost window without any, in which the
-    outermost value counts once.
+    outermost value counts once, if there are as many values.
     """
-    size = min(size, len(values)) if ends == "inside" else size
+    if ends == "inside" and len(values) < size:
+        ends = "edge"
     before, after = size // 2, (size - 1) // 2
     table = np.asarray(values, np.float64)
     windows = sliding_window_view(table if ends == "inside" else np.pad(table, (before, after), ends), size)

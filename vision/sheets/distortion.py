@@ -436,9 +436,10 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
     height, in proportion to T, and its shape change with its position.
 
     shape: the logarithm of the height and, where flanks do not overlap, the differences between the fits of
-    `distortion`, px, (frame, N). The slope of each over the position, times `static_scale`, and, where flanks
-    do not overlap, the curvature of the first, times :math:`\sigma_r^2`, less what neighbouring sheets share
-    (paper that leans as it creeps), are the error, where they are significant. Below `static_floor` it is 0.
+    `distortion`, px, (frame, N). The slope of each over the position, less what neighbouring sheets share
+    (paper that leans as it creeps), times `static_scale`, and, where flanks do not overlap, the curvature of
+    the first, times :math:`\sigma_r^2`, are the error, where they are significant. Below `static_floor` it is
+    0.
     A sheet that moves alone has no such curvature, as its height changes with the distance of its neighbours.
     """
     settings, square = comb.settings, np.zeros(x_px.shape[1])
@@ -448,11 +449,11 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
         pairs = zip(x_px.T, values.T, strict=True)
         each = in_two_threads(lambda pair: _regression(*pair), pairs)
         slope, curvature, *errors2, count = np.array(each, np.float64).reshape(-1, 5).T
+        slope -= running_median(slope, settings.leaning_sheets, ends="inside")
         of_slope, of_curvature = errors2
         for found, error2, over in ((slope, of_slope, factor), (curvature, of_curvature, bent)):
-            own = found - running_median(found, settings.leaning_sheets, ends="inside")
-            clear = (own**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
-            square += np.where(clear, over**2 * (own**2 - error2), 0.0)
+            clear = (found**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
+            square += np.where(clear, over**2 * (found**2 - error2), 0.0)
         bent = np.zeros_like(bent)
     return _if_above(np.sqrt(square), settings.static_floor)
 
@@ -515,19 +516,35 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
 
 
 def _regression(x: Floats, y: Floats) -> tuple[float, ...]:
-    """Return the slope and the curvature of y over x, both (frame,), their squared errors, and the number of
-    known values. The slope is that of a straight line."""
+    """Return slope and curvature of y over x, both (frame,), their squared errors, and the number of known
+    values. The slope is that of a straight line. Slow drifts of x and y bend one over the other by chance:
+    the curvature is measured within parts of the film as well. The smaller result counts, 0 if their signs
+    differ, with the larger of both errors, of which that of the parts is a jackknife.
+    """
     known = np.isfinite(y) & np.isfinite(x)
     count = max(int(known.sum()), 1)
+    pieces = np.array_split(np.arange(len(x)), _PARTS)
+    products, loads = np.array([_bent(x[rows], y[rows], known[rows])[:2] for rows in pieces]).T
+    total = max(float(products.sum()), 1e-12)
+    within = float(loads.sum()) / total
+    without = (loads - within * products) / np.fmax(total - products, 1e-12)  # changes it by this
+    product, load, slope, rest, spread = _bent(x, y, known)
+    bent = load / max(product, 1e-12)
+    variance = float(rest @ rest) / max(count - 3, 1) * correlation_inflation(rest, 0.95)
+    curvature = min(bent, within, key=abs) if bent * within > 0 else 0.0
+    error2 = max(float(without @ without), variance / max(product, 1e-12))
+    return slope, curvature, variance / spread, error2, count
+
+
+def _bent(x: Floats, y: Floats, known: Bools) -> tuple[float, float, float, Floats, float]:
+    """Return the sums of squares, and of products with y, of the curvature of x beside its slope; the slope
+    of y, what slope and curvature leave, and the sum of squares of x. All are (frame,)."""
     x, y = centred(x, known), centred(y, known)
+    spread = max(float(x @ x), 1e-12)
     bend = centred(x**2 / 2, known)
-    bend -= float((bend * x).sum()) / max(float((x**2).sum()), 1e-12) * x
-    terms = np.stack([x, bend])
-    spread = np.maximum((terms**2).sum(axis=1), 1e-12)
-    found = terms @ y / spread
-    rest = y - found @ terms
-    variance = float((rest**2).sum()) / max(count - 3, 1) * correlation_inflation(rest, 0.95)
-    return (*found, *(variance / spread), count)
+    bend -= float(bend @ x) / spread * x
+    product, load, slope = float(bend @ bend), float(bend @ y), float(x @ y) / spread
+    return product, load, slope, y - slope * x - load / max(product, 1e-12) * bend, spread
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
