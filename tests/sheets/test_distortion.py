@@ -16,6 +16,7 @@ from vision.sheets.distortion import (
     NO_LOCKING,
     Distortion,
     PixelLocking,
+    _regression,
     _significant,
     pixel_locking,
 )
@@ -446,6 +447,20 @@ def test_a_speck_in_the_middle_of_a_ridge_is_in_the_error_of_displacements(at):
     assert 0.6 < tracks.misscaled.values[at] / wrong < 2
     others = np.delete(np.where(np.ptp(x, axis=0) > 0.2, tracks.misscaled.values, 0), at)
     assert others.max() < 0.03
+
+
+def test_slow_drifts_of_position_and_height_are_no_dirt():
+    """A sheet that hardly moves drifts by tenths of a pixel while its light changes slowly by percents. A
+    failure means that one bends over the other by chance, and displacements have errors of their size."""
+    clear, frame = [], np.arange(1500)
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        drift, light = (gaussian_filter1d(random.normal(size=1500), 150) for _ in range(2))
+        x = 0.17 * drift / drift.std() + 0.03 * np.sin(frame / 8)
+        y = 0.02 * light / light.std() + 0.008 * random.normal(size=1500)
+        _, curvature, _, error2, _ = _regression(x, y)
+        clear.append(curvature**2 > DEFAULT.distortion_sigmas**2 * error2)
+    assert np.mean(clear) < 0.05
 
 
 @pytest.mark.parametrize("fwhm_px", [4.5, 8.0])
