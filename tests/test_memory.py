@@ -2,11 +2,14 @@
 which are text to whoever reads them, and a byte each until then."""
 
 import json
+import mmap
+import os
 import pickle
 import platform
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,13 +18,16 @@ import xarray as xr
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.films import write_avi
+from vision import memory
 from vision.memory import (
     give_back,
     give_back_freed,
+    give_back_tables,
     is_word,
     parts_in_turn,
     put_rows,
     some_rows,
+    table_beside,
     table_in_file,
     word_codes,
     word_counts,
@@ -37,7 +43,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reas
 @pytest.fixture
 def table(tmp_path):
     """700 rows of 100 columns in a file."""
-    made = table_in_file(700, 100, tmp_path)
+    made = table_in_file((700, 100), tmp_path)
     made[:] = np.arange(70_000).reshape(700, 100)
     return made
 
@@ -54,6 +60,21 @@ def test_values_outlast_their_memory(table):
     assert [rows.stop for rows in parts_in_turn(table, 300)] == [300, 600, 700]
     rows = np.array([699, 0, *range(5, 45)])
     assert np.array_equal(some_rows(table, rows), table[rows])
+
+
+@pytest.mark.parametrize("kept", [0, 1 << 30])
+def test_tables_beside_one_in_a_file_are_in_files(table, monkeypatch, kept):
+    """Failure: tables of positions of a long film fill the memory, or a full disk ends its run."""
+    beside = table_beside(table[5:], (2, 50, 3), np.float64, "F")
+    assert isinstance(beside.base, mmap.mmap)
+    beside[:] = np.arange(300).reshape(2, 50, 3)
+    monkeypatch.setattr(memory, "_KEPT_BYTES", kept)
+    give_back_tables()
+    assert np.array_equal(beside.ravel(), np.arange(300))
+    in_memory = [table_beside(np.zeros(3), (4, 5)), table_beside(table, (0, 5))]
+    monkeypatch.setattr(os, "posix_fallocate", Mock(side_effect=OSError), raising=False)
+    in_memory.append(table_beside(table, (4, 5)))
+    assert [one.base for one in in_memory] == [None, None, None]
 
 
 @pytest.mark.parametrize("where", ["file", "rows of it", "columns of it", "memory"])

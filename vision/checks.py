@@ -608,7 +608,7 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     """Return which sheets are the outermost and still while the next two, which move less, do move, (N,):
     edges of the background or of a lamp's light. Compared are displacements along x; the camera's own are in
     all of them."""
-    x_px = tracks["x_px"].values - nan_median(tracks["x_px"].values)
+    x_px, rest_px = tracks["x_px"].values, nan_median(tracks["x_px"].values)
     still = np.zeros(x_px.shape[1], bool)
     if len(still) < 5:
         return still
@@ -618,8 +618,9 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         n = np.flatnonzero((sides[inwards] == side) & seen[inwards])
         if len(n) < 3:
             continue
-        known = np.isfinite(x_px[:, inwards][:, n])
-        moved = np.where(known, x_px[:, inwards][:, n], 0.0)
+        moved = x_px[:, inwards][:, n] - rest_px[inwards][n]
+        known = np.isfinite(moved)
+        moved[~known] = 0.0
         two = known[:, 1:-1] & known[:, 2:]  # the next two of the first, of the second, …
         # the smaller of both motions: one sheet alone may split, or stick to something
         pair = moved[:, 1:-1], moved[:, 2:]

@@ -1,12 +1,15 @@
 """Large tables that take little memory: those in temporary files, and those of few different words.
 
-Of a table in a file only the part in use is in memory. Words, such as the flags of positions, take a byte
+Of a table in a file only the part in use is in memory. Where I(x, t) is in one, so are the tables of
+positions (`table_beside`). Words, such as the flags of positions, take a byte
 each: as text they take 36 bytes a position, so that a film of 100 000 frames would have more text than
 positions. Text is made when it is read, of the part that is read.
 """
 
 from __future__ import annotations
 
+import gc
+import math
 import mmap
 import os
 import tempfile
@@ -15,19 +18,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import xarray as xr
 from numpy.lib.array_utils import byte_bounds
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from vision.files import c_library
 from vision.numeric import Bools, Codes, Floats32, Ints, Strings, row_parts
 
+Order = Literal["C", "F"]
+
 _APART_AT_ONCE = 16  # rows far from each other in the file
+_KEPT_BYTES = 256 << 20  # of I(x, t) and tables in files: below, memory is spent to save 7 % of the time
 _ROWS_AT_ONCE = 1024  # consecutive ones: 8 MiB of 1920 columns
 
 
@@ -40,26 +46,46 @@ class _TemporaryFile(mmap.mmap):
     The file keeps what is written to a shared mapping, so that its pages can be given back.
     """
 
+    in_use: ClassVar[weakref.WeakValueDictionary[int, _TemporaryFile]] = weakref.WeakValueDictionary()
+
     def __init__(self, descriptor: int, _size: int) -> None:
         self.address: int = np.frombuffer(self, np.uint8).ctypes.data
         self.descriptor = os.dup(descriptor)  # for `put_rows`
+        self.folder: Path | None = None
         weakref.finalize(self, os.close, self.descriptor)
+        self.in_use[id(self)] = self
 
 
-def table_in_file(rows: int, columns: int, folder: Path | None) -> Floats32:
-    """Return a table of zeros (rows, columns) in a temporary file in `folder`, by default the system's.
+def table_in_file(
+    shape: tuple[int, ...], folder: Path | None, dtype: DTypeLike = np.float32, order: Order = "C"
+) -> NDArray[Any]:
+    """Return a table of zeros in a temporary file in `folder`, by default the system's.
 
     It is used as any array; `give_back` lets go of the memory of a part.
 
     Raises: OSError if the disk is full.
     """
-    size = 4 * rows * columns
+    size = np.dtype(dtype).itemsize * math.prod(shape)
     with tempfile.TemporaryFile(prefix="sheetvision-", dir=folder) as file:  # the mapping keeps it
         if hasattr(os, "posix_fallocate"):  # writing to a mapping on a full disk would kill the process
             os.posix_fallocate(file.fileno(), 0, size)
         else:
             os.ftruncate(file.fileno(), size)
-        return np.ndarray((rows, columns), np.float32, _TemporaryFile(file.fileno(), size))
+        mapped = _TemporaryFile(file.fileno(), size)
+    mapped.folder = folder
+    return np.ndarray(shape, dtype, mapped, order=order)
+
+
+def table_beside(
+    values: NDArray[Any], shape: tuple[int, ...], dtype: DTypeLike = np.float64, order: Order = "C"
+) -> NDArray[Any]:
+    """Return a table whose values are not set yet: in a temporary file in the folder of that of `values`, if
+    these are in one and the disk has room, else in memory."""
+    file = _file_of(values)
+    if file is not None and 0 not in shape:
+        with suppress(OSError):
+            return table_in_file(shape, file.folder, dtype, order)
+    return np.empty(shape, dtype, order)
 
 
 def put_rows(table: Floats32, start: int, rows: Floats32) -> None:
@@ -100,11 +126,24 @@ def _file_of(values: NDArray[Any]) -> _TemporaryFile | None:
     return owner if isinstance(owner, _TemporaryFile) else None
 
 
-def give_back_freed() -> None:
-    """Give memory that was freed, and that the C library keeps between what is in use, back to the system.
+def give_back_tables() -> None:
+    """Give the memory of all tables in temporary files back to the system, unless they are small."""
+    files = [file for reference in _TemporaryFile.in_use.valuerefs() if (file := reference())]
+    if hasattr(mmap, "MADV_DONTNEED") and sum(map(len, files)) > _KEPT_BYTES:
+        for file in files:
+            file.madvise(mmap.MADV_DONTNEED)
 
-    Nothing happens where it is not the GNU C library. It takes a few milliseconds.
+
+def give_back_freed() -> None:
+    """Give the memory of tables in temporary files back to the system, and memory that was freed and that the
+    C library keeps between what is in use.
+
+    If there are such tables, Python first frees what refers to itself, such as drawings with their pixels.
+    The C library is not asked where it is not GNU's. It takes a few milliseconds.
     """
+    if _TemporaryFile.in_use:
+        gc.collect(1)
+        give_back_tables()
     if library := c_library():
         with suppress(AttributeError):
             library.malloc_trim(0)

@@ -95,7 +95,7 @@ def test_tables_in_files_without_calls_of_posix(tmp_path, monkeypatch):
     for name in ("posix_fallocate", "pwrite"):
         monkeypatch.delattr(f"os.{name}", raising=False)
     monkeypatch.delattr("mmap.MADV_DONTNEED", raising=False)
-    table = table_in_file(100, 7, tmp_path)
+    table = table_in_file((100, 7), tmp_path)
     rows = np.arange(140, dtype=np.float32).reshape(20, 7)
     put_rows(table, 30, rows)
     np.testing.assert_array_equal(table[30:50], rows)

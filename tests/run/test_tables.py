@@ -103,8 +103,8 @@ def test_a_table_that_is_told_to_stop_ends_with_its_part(found, tmp_path, monkey
     monkeypatch.setattr(tables, "ROWS_PER_CHUNK", 1)
     written = tables.csv.write_csv
 
-    def stopped(*arguments):
-        written(*arguments)
+    def stopped(*arguments, **more):
+        written(*arguments, **more)
         stop.set()
 
     monkeypatch.setattr(tables.csv, "write_csv", stopped)

@@ -320,8 +320,11 @@ def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callabl
 def prepare_review(folder: Path, settings: Settings) -> None:
     """Store in a run folder what a review shows first, if the extra `review` is installed."""
     if importlib.util.find_spec("starlette") is not None:
+        from vision.memory import give_back_freed
         from vision.review import api
         from vision.review.session import Session
 
+        gc.collect()  # the analysis
+        give_back_freed()
         with suppress(InputError), Session(folder, settings) as session:
             api.keep_first_view(session)

@@ -176,8 +176,10 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
-        # These are in the run folder, and most of what is in memory; tracks of many films may be pooled.
-        analysis = replace(analysis, strip=None, tracks=analysis.tracks if one_of_many else None)
+        # These are in the run folder, and most of what is in memory; results of many films may be pooled.
+        analysis = replace(analysis, strip=None)
+        if not one_of_many:
+            analysis = replace(analysis, tracks=None, force=None, motion=None)
         prepare_review(target, settings)
     return status, analysis
 

@@ -62,10 +62,14 @@ def first_answers(session: Session) -> dict[str, bytes]:
             addresses += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
     found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
     app = session_app(session, lambda: None)
-    for address in addresses:
-        answer = anyio.run(_request, app, address)
-        if answer is not None:  # there may be no film, or no force
-            found[address] = answer
+
+    async def ask() -> None:
+        for address in addresses:
+            answer = await _request(app, address)
+            if answer is not None:  # there may be no film, or no force
+                found[address] = answer
+
+    anyio.run(ask)  # once: each leaves its thread's memory
     return found
 
 

@@ -146,19 +146,19 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
 
 def read_positions(path: Path) -> Positions:
     """Read the positions of a run from its tracks.nc.  Raises: InputError if it is missing or damaged."""
-    tracks = read_tracks(path, without=["x_expected_px"])
+    stored = ("x_px", "x_err_px", "x_withheld_px")
+    tracks = read_tracks(path, without=["x_expected_px"], single=stored)
     shape = tracks["x_px"].shape
 
-    def single(name: str) -> Floats32:
-        values = tracks[name].values if name in tracks else np.broadcast_to(np.nan, shape)
-        return values.astype(np.float32)
-
+    x_px, err_px, withheld_px = (
+        tracks[name].values if name in tracks else np.full(shape, np.nan, np.float32) for name in stored
+    )
     return Positions(
         frame=tracks["frame"].values,
         time_s=tracks["time_s"].values,
-        x_px=single("x_px"),
-        err_px=single("x_err_px"),
-        withheld_px=single("x_withheld_px"),
+        x_px=x_px,
+        err_px=err_px,
+        withheld_px=withheld_px,
         flag=word_codes(tracks["flag"], FLAGS),
         why=word_codes(tracks["why"], WHYS) if "why" in tracks else np.zeros(shape, np.uint8),
         side=tracks["side"].values,

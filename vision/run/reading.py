@@ -329,8 +329,8 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     )
 
 
-def read_tracks(path: Path, *, without: Sequence[str] = ()) -> xr.Dataset:
-    """Read tracks.nc as `track_sheets` returned it, without some variables.
+def read_tracks(path: Path, *, without: Sequence[str] = (), single: Sequence[str] = ()) -> xr.Dataset:
+    """Read tracks.nc as `track_sheets` returned it, without some variables, and others in single precision.
 
     It is first read in a separate process, as HDF5 can crash or hang on a damaged file.
 
@@ -339,11 +339,13 @@ def read_tracks(path: Path, *, without: Sequence[str] = ()) -> xr.Dataset:
     wanted = "tracks as track writes them"
     try_out(path, READ_HDF5, wanted)
     with reading(path, wanted, AGAIN):
-        with xr.open_dataset(path, engine="h5netcdf", concat_characters=False) as data:
+        with xr.open_dataset(path, engine="h5netcdf", concat_characters=False, cache=False) as data:
             words = {name: _words(data[name]) for name in ("flag", "why") if name in data}
             # x_um would stay what it was when the pixel size is changed
             others = [*words, "x_um", "index", *without]
-            tracks = data.drop_vars(others, errors="ignore").load().assign(words)
+            kept = data.drop_vars(others, errors="ignore")
+            found = {name: kept[name].astype(np.float32) for name in single if name in kept}
+            tracks = kept.assign(found).load().assign(words)
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
         try:
             TRACKS.check(tracks)

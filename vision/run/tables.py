@@ -17,12 +17,12 @@ import pyarrow as pa
 import tifffile
 import xarray as xr
 from numpy.typing import NDArray
-from pyarrow import csv
+from pyarrow import compute, csv
 
 from vision.data import OPERATIONS
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.memory import number_words, parts_in_turn
+from vision.memory import give_back_tables, number_words, parts_in_turn
 from vision.numeric import Floats, Floats32, rms, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
@@ -46,6 +46,7 @@ def write_tracks_csv(
     test of 100 000 frames has five million rows.
     """
     # Arrow formats 1024 rows at once by default, which takes a quarter longer.
+    pool = pa.system_memory_pool()  # Arrow's own keeps 22 MiB
     style = csv.WriteOptions(include_header=False, quoting_style="none", batch_size=1 << 15)
     with path.open("wb") as file:
         for k, columns in enumerate(columns_in_parts(tracks, pixel_size_um)):
@@ -53,17 +54,17 @@ def write_tracks_csv(
                 return
             if k == 0:
                 file.write((",".join(columns) + "\n").encode())
-            table = {name: _in_arrow(values) for name, values in columns.items()}
-            csv.write_csv(pa.table(table), file, style)
+            table = {name: _in_arrow(values, pool) for name, values in columns.items()}
+            csv.write_csv(pa.table(table), file, style, memory_pool=pool)
 
 
-def _in_arrow(values: NDArray[Any]) -> pa.Array:
+def _in_arrow(values: NDArray[Any], pool: pa.MemoryPool) -> pa.Array:
     """Return a column as Arrow stores it, NaN as null. Few different words are converted once each."""
     if values.dtype.kind != "U":
-        return pa.array(values, from_pandas=True)
+        return pa.array(values, from_pandas=True, memory_pool=pool)
     listed: list[str] = []
     codes = number_words(values, listed)
-    return pa.array(listed, pa.string()).take(pa.array(codes))
+    return compute.take(pa.array(listed, pa.string()), pa.array(codes), memory_pool=pool)
 
 
 def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[dict[str, NDArray[Any]]]:
@@ -71,6 +72,7 @@ def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterato
     step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
     for frames in row_parts(max(1, tracks.sizes["frame"]), step):
         yield tracks_columns(tracks.isel(frame=frames), pixel_size_um=pixel_size_um)
+        give_back_tables()
 
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:

@@ -180,6 +180,7 @@ def _write_figures_and_page(
         with ThreadPoolExecutor(1) as pool:
             written = _write_pictures(analysis, folder, figures, pool)
             if report and analysis.tracks is not None:
+                give_back_freed()
                 page = folder / "report.html"
                 write_report(page, analysis, content, figures=figures, options=origin.options)
             for file in written:
@@ -305,4 +306,5 @@ def _write_pictures(
     for file, figure in pictures.items():
         if figure is not None:
             written.append(pool.submit(drawing.write_png, drawing.render(figure), folder / file))
+            give_back_freed()
     return written

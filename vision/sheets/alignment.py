@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.memory import table_beside
 from vision.numeric import Floats, Ints, Ints32, Rows, in_two_threads, row_parts
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -85,7 +86,7 @@ class Pairing:
 
 def values_of(match: Ints | Ints32, values: NDArray[Real]) -> NDArray[Real]:
     """Return the values (lists, K) of the candidate of each sheet, NaN where missing, (lists, N)."""
-    found = np.empty(match.shape, values.dtype, order="F")
+    found = table_beside(values, match.shape, values.dtype, "F")
 
     def take(rows: slice) -> None:
         paired = np.take_along_axis(values[rows], np.maximum(match[rows], 0), axis=1)

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import cv2
 import numpy as np
 
-from vision.memory import some_rows
+from vision.memory import give_back_tables, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
@@ -310,6 +310,7 @@ def distortion(
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
     height[~(height > 0)] = np.nan
     log_height = np.log(height, out=height)
+    give_back_tables()
     narrow = comb.fwhm_px < settings.sampled_well_px
     if narrow:
         _subtract_pixel_phase((log_height, apart, sloping), x_px)
@@ -350,6 +351,7 @@ def distortion(
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
         size[:, n] = np.fmax(np.fmin(found, within), covered_px[:, n])
         usual_px[n] = nan_median(np.fmin(slight, within))
+        give_back_tables()
 
     in_two_threads(of_sheet, range(x_px.shape[1]))
     if narrow:  # of what lasts, the place among the pixels is not told from dirt if a sheet hardly moves
@@ -371,7 +373,7 @@ def _fit_shape(
     """
     half = len(shape) // 2
     away = np.arange(-half, half + 1)
-    height, apart, sloping, pulled_px2 = (np.empty_like(x_px) for _ in range(4))
+    height, apart, sloping, pulled_px2 = (table_beside(profile, x_px.shape, order="F") for _ in range(4))
 
     def fit(rows: slice) -> None:
         around = levels_around(comb.bright(profile[rows]), x_px[rows], half)
@@ -455,6 +457,7 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
             clear = (found**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
             square += np.where(clear, over**2 * (found**2 - error2), 0.0)
         bent = np.zeros_like(bent)
+        give_back_tables()
     return _if_above(np.sqrt(square), settings.static_floor)
 
 
@@ -574,7 +577,8 @@ def _error_over(
 
     frames = settings.distortion_frames
     inner = max(0, values.shape[1] - 2)  # sheets between two others
-    ratio, weights = np.empty((2, inner, max(0, len(values) - frames)))
+    shape = inner, max(0, len(values) - frames)
+    ratio, weights = (table_beside(values, shape) for _ in range(2))
     total, along = np.zeros((2, inner))
 
     def compare(some: slice) -> None:
@@ -589,6 +593,7 @@ def _error_over(
             total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
             ratio[k], weights[k] = np.nan, weight
             np.divide(move, change, where=known, out=ratio[k])
+            give_back_tables()
 
     in_two_threads(compare, row_parts(inner, -(-inner // 2) or 1))
     if not (weights > 0).any():
@@ -766,7 +771,7 @@ def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floa
     if sheets < ENOUGH:
         return alone
     middle = typical_median(log_width)
-    least = max(settings.covered_width, settings.distortion_sigmas * _scatter_across(log_width - middle))
+    least = max(settings.covered_width, settings.distortion_sigmas * _scatter_across(log_width, middle))
     for rows in row_parts(frames):
         around = np.pad(log_width[rows] - middle, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
@@ -784,8 +789,8 @@ def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floa
     return alone
 
 
-def _scatter_across(light: Floats) -> float:
-    """Return the scatter of single sheets against the mean of their neighbours."""
-    some = light[typical_rows(len(light))]
+def _scatter_across(light: Floats, middle: Floats | float = 0.0) -> float:
+    """Return the scatter of single sheets against the mean of their neighbours, less the `middle` of each."""
+    some = light[typical_rows(len(light))] - middle
     bend = some[:, 1:-1] - (some[:, :-2] + some[:, 2:]) / 2
     return float(nan_median(np.abs(bend).ravel()) / NORMAL_MEDIAN / np.sqrt(1.5))

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.memory import table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -150,7 +151,7 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
     rest = rest_positions(x_px)
-    predicted = np.empty(x_px.shape, order="F")
+    predicted = table_beside(x_px, x_px.shape, order="F")
 
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.memory import some_rows
+from vision.memory import give_back_tables, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     Bools,
@@ -80,7 +80,7 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
     """
     settings = comb.settings
     fast = np.zeros(x_px.shape, bool, order="F")
-    moved, excess, loss = (np.empty_like(x_px) for _ in range(3))
+    moved, excess, loss = (table_beside(x_px, x_px.shape, order="F") for _ in range(3))
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
 
     def measure(n: int) -> None:
@@ -92,12 +92,14 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
         moved[:, n] = step
         excess[:, n] = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
         loss[:, n] = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
+        give_back_tables()
 
     in_two_threads(measure, range(x_px.shape[1]))
     blurred, err = np.empty_like(fast), moved
 
     def judge(rows: slice) -> None:
         blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
+        give_back_tables()
 
     in_two_threads(judge, row_parts(len(x_px)))
     return blurred, err

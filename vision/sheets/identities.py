@@ -13,6 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.memory import give_back_tables, table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -115,6 +116,7 @@ def identify_sheets(
         real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
         real &= ~faint_ends(reference, moved, settings=comb.settings)
         del moved
+        give_back_tables()
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
         rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
@@ -122,7 +124,9 @@ def identify_sheets(
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
-    margin = pairing.margin[segments.of_frames()]
+    give_back_tables()
+    margin = table_beside(ridges.x_px, match.shape)
+    np.take(pairing.margin, segments.of_frames(), axis=0, out=margin, mode="clip")
     margin[match < 0] = np.nan
     match, margin = _undo_false_jumps(match, margin, values_of(match, ridges.x_px), ridges, comb)
     usual_px = values_of(match, ridges.x_px)
@@ -185,7 +189,8 @@ def _rest_over_time(x_px: NDArray[np.floating], reference: ReferenceComb, comb: 
     rest = fill_rows(fill_rows(rest, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
     rest = reference.x_px + np.nan_to_num(rest)
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
-    return np.asarray(rest[np.minimum(at, blocks - 1)], np.float64)
+    over_time = table_beside(x_px, x_px.shape)
+    return np.take(rest, at, axis=0, out=over_time, mode="clip")
 
 
 def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = None) -> Bools:

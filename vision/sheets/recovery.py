@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.memory import is_word, some_rows
+from vision.memory import give_back_tables, is_word, some_rows, table_beside
 from vision.numeric import (
     Bools,
     Codes,
@@ -102,11 +102,13 @@ def assign_detections(
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
     sheet's usual contrast. Positions of uncertain identity (`Doubt`) are flagged DOUBTFUL and withheld.
     """
-    paired = np.empty((3, *identities.match.shape[::-1]), np.float32).swapaxes(1, 2)
+    paired = table_beside(profile, (3, *identities.match.shape[::-1]), np.float32).swapaxes(1, 2)
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
+        give_back_tables()
     why = doubts_of(identities.usual_px, paired[1], identities, comb)
     x, contrast = (np.where(why == Doubt.NONE, values, np.nan) for values in paired[:2])
+    give_back_tables()
     off = exchanged(x, contrast, identities.margin, comb)
     del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
@@ -115,6 +117,7 @@ def assign_detections(
     _reassign_hops(ridges, paired, why, comb)
     why[_alone_and_away(np.where(why == Doubt.NONE, paired[0], np.float32(np.nan)), comb)] = Doubt.ALONE
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
+    give_back_tables()
     off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
     del expected
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
@@ -122,7 +125,9 @@ def assign_detections(
     off = split(ridges, identities.match, paired, certain)
     why[off & (why == Doubt.NONE)] = Doubt.SPLIT
     doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])
-    withheld = np.where(doubtful, paired[0], np.nan)
+    withheld = table_beside(profile, unpaired.shape, np.float32, "F")
+    withheld[:] = np.where(doubtful, paired[0], np.nan)
+    give_back_tables()
     found = paired
     found[:, doubtful] = np.nan
     expected = _expected(found[0], identities.rest_px)

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
-from vision.memory import give_back, some_rows
+from vision.memory import give_back, give_back_tables, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
+    ROWS_AT_ONCE,
     Bools,
     Floats,
     Floats32,
@@ -515,7 +516,8 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     """
     parts = in_blocks(lambda rows: _find_block(profile[rows], comb), profile)
     most = max((int(counts.max()) for counts, _ in parts), default=1)
-    tables = np.full((3, len(profile), max(1, most)), np.nan, np.float32)
+    tables = table_beside(profile, (3, len(profile), max(1, most)), np.float32)
+    tables[:] = np.nan
     start = 0
     for counts, found in parts:  # one row per frame
         frame, rank = flat_ranges(np.zeros_like(counts), counts)
@@ -535,11 +537,13 @@ def find_faint(profile: Floats32, comb: RidgeComb) -> Ridges:
 
 def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Result]:
     """Return the results of `work` for consecutive blocks of frames of a table (frame, ...), found in two
-    threads. The memory of a block in a temporary file is given back."""
+    threads. The memory of a block in a temporary file is given back, and that of all tables now and then."""
 
     def of_block(rows: slice) -> Result:
         result = work(rows)
         give_back(table[rows])
+        if not rows.stop % ROWS_AT_ONCE:
+            give_back_tables()
         return result
 
     return in_two_threads(of_block, row_parts(len(table), FRAMES_PER_BLOCK))

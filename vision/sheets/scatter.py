@@ -52,7 +52,8 @@ class BetweenSlips:
     def __init__(self, x_px: Floats) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
-        self.x_px = np.asfortranarray(x_px[self.seen])  # most is computed of one sheet after the other
+        # most is computed of one sheet after the other
+        self.x_px = np.asfortranarray(x_px if self.seen.all() else x_px[self.seen])
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
-from vision.memory import give_back, some_rows
+from vision.memory import give_back, give_back_tables, some_rows, table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -444,7 +444,8 @@ def fit_sheets(
 
     profile: grey levels (frame, x). start_px: whole pixels (frame, N), NaN for none.
     """
-    x, err = (np.full(start_px.shape, np.nan, order="F") for _ in range(2))
+    x, err = (table_beside(profile, start_px.shape, order="F") for _ in range(2))
+    x[:], err[:] = np.nan, np.nan
     search_px = max(2, round(comb.fwhm_px / 2))
 
     def run(rows: slice) -> None:
@@ -493,6 +494,7 @@ def learned_template(
         learned &= position_noise(by_match) <= position_noise(by_window)
     for n in np.flatnonzero(learned).tolist():
         learned[n] = _same_motion(x_px[:, n] - middle[n], matched[:, n] - middle[n], settings)
+    give_back_tables()
     if learned.mean() < 0.5:
         return x_px, err, none
     for n in range(x_px.shape[1]):
@@ -516,13 +518,16 @@ def _match_all(
 ) -> tuple[Floats, Floats]:
     """Match sheets, by default all, to their mean shapes, starting at positions x of the sliding window."""
     half = comb.half_px(0.9)
-    out, err = (np.full(x.shape, np.nan, order="F") for _ in range(2))
+    out, err = (table_beside(profile, x.shape, order="F") for _ in range(2))
+    out[:], err[:] = np.nan, np.nan
+    give_back_tables()
 
     def match(n: int) -> None:
         """Match one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
         frame = np.flatnonzero(np.isfinite(x[:, n]))
         dark = comb.polarity == "dark"
         out[frame, n], err[frame, n] = match_sheet(profile, frame, x[frame, n], half, dark=dark)
+        give_back_tables()
 
     chosen = np.ones(x.shape[1], bool) if sheets is None else sheets
     in_two_threads(match, np.flatnonzero(chosen).tolist())

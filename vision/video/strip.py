@@ -606,7 +606,7 @@ class FrameStore:
         size = capacity * self._columns * 4
         if size > self._settings.spill_bytes:
             try:
-                return table_in_file(capacity, self._columns, self._folder)
+                return table_in_file((capacity, self._columns), self._folder)
             except OSError as error:
                 if size > self._settings.memory_bytes:
                     raise self._no_room(size, error) from error
