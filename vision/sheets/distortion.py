@@ -441,12 +441,14 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeC
     `distortion`, px, (frame, N). The slope of each over the position, less what neighbouring sheets share
     (paper that leans as it creeps), times `static_scale`, and, where flanks do not overlap, the curvature of
     the first, times :math:`\sigma_r^2`, are the error, where they are significant. Below `static_floor` it is
-    0.
-    A sheet that moves alone has no such curvature, as its height changes with the distance of its neighbours.
+    0. The curvature is used of sheets that move by a pixel or more, since the place in a pixel changes
+    heights as well, and together with their neighbours, since their distance does.
     """
     settings, square = comb.settings, np.zeros(x_px.shape[1])
-    alone = np.full(x_px.shape[1], len(shape) == 1) | _moves_alone(x_px, settings)
-    bent = np.where(alone, 0.0, (comb.fwhm_px / FWHM) ** 2)
+    overlapping = len(shape) == 1
+    moved_px = nan_quantile(x_px, 0.95) - nan_quantile(x_px, 0.05)
+    straight = overlapping | (moved_px < 1.0) | _moves_alone(x_px, settings)
+    bent = np.where(straight, 0.0, (comb.fwhm_px / FWHM) ** 2)
     for values, factor in zip(shape, settings.static_scale, strict=False):
         pairs = zip(x_px.T, values.T, strict=True)
         each = in_two_threads(lambda pair: _regression(*pair), pairs)
