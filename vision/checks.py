@@ -34,7 +34,8 @@ from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.reference import static_ridges
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
-from vision.sheets.tracks import BETWEEN_FRAMES, comb_is_stationary
+from vision.sheets.tracks import comb_is_stationary
+from vision.video.reader import BETWEEN_FRAMES
 
 if TYPE_CHECKING:
     from vision.models import ModelFits

@@ -34,8 +34,8 @@ from vision.numeric import nan_median, two_digits, typical, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.recovery import LONG_GAP, missing_stretches
-from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
+from vision.video.reader import LOSSY
 
 if TYPE_CHECKING:
     from vision.clock import Clock

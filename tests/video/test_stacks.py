@@ -8,9 +8,8 @@ from PIL import Image
 
 from tests.scenes.films import comb, states, whole, write_avi
 from vision.errors import InputError
-from vision.sheets.tracks import LOSSY
 from vision.video import open_video, strip_profile
-from vision.video.reader import MappedReader
+from vision.video.reader import LOSSY, MappedReader
 
 PYLON = "Basler_acA1300-200um__21927848__20200309_175055809_{:04d}.{}"
 

@@ -26,7 +26,7 @@ from vision.run.reading import RunFolder, read_strip
 from vision.sheets import Correction, TrackingSettings, track_sheets
 from vision.sheets.scatter import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
-from vision.sheets.tracks import BETWEEN_FRAMES
+from vision.video.reader import BETWEEN_FRAMES
 
 Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parameters of a run
 

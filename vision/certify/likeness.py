@@ -27,7 +27,7 @@ from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median, weighted_median
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.subpixel import position_noise
-from vision.sheets.tracks import BETWEEN_FRAMES
+from vision.video.reader import BETWEEN_FRAMES
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from vision.deformation.creep import (
 )
 from vision.errors import InputError, shown
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
-from vision.sheets import BETWEEN_FRAMES
+from vision.video.reader import BETWEEN_FRAMES
 
 ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
 

@@ -27,7 +27,6 @@ from vision.force import ForceSettings
 from vision.models import ModelFits
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
-from vision.sheets.tracks import LOSSY
 from vision.summary import (
     RATE_SOURCES,
     axis_source,
@@ -38,6 +37,7 @@ from vision.summary import (
     pixel_size_text,
 )
 from vision.systematics import QUANTITIES
+from vision.video.reader import LOSSY
 
 CITED = (
     f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).",

@@ -5,10 +5,9 @@ from vision.sheets.recovery import doubtful_stretches
 from vision.sheets.reference import wide_spacings
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import FitChoice, FitName, Starts, choose_window, paper_vertex, sliding_vertex
-from vision.sheets.tracks import BETWEEN_FRAMES, pixel_size_of, track_sheets, with_heights
+from vision.sheets.tracks import pixel_size_of, track_sheets, with_heights
 
 __all__ = [
-    "BETWEEN_FRAMES",
     "Correction",
     "FitChoice",
     "FitName",

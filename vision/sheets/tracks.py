@@ -80,13 +80,8 @@ from vision.sheets.subpixel import (
     noise_correlation,
     position_noise,
 )
+from vision.video.reader import BETWEEN_FRAMES, LOSSY
 
-_MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "vvc"}
-_FURTHER = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}
-_MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc1", "msvideo1"}
-BETWEEN_FRAMES = frozenset(_MPEG | _FURTHER | _MICROSOFT)
-"""Codecs that predict a frame from other frames, and so carry errors from frame to frame."""
-LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
 LEAST_ERROR_PX = 1e-4
 
 

@@ -22,6 +22,14 @@ OVERLAY_COMMENT = "film with the tracks of sheets drawn on it"  # what `track ov
 SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 SECONDS |= {"min": 60.0, "h": 3600.0}
 
+_MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "vvc"}
+_FURTHER = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}
+_MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc1", "msvideo1"}
+BETWEEN_FRAMES = frozenset(_MPEG | _FURTHER | _MICROSOFT)
+"""Codecs that predict a frame from other frames, and so carry errors from frame to frame."""
+LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
+"""Codecs whose frames differ from what was recorded, so that pixels do not show the noise of positions."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
