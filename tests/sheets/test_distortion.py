@@ -16,7 +16,6 @@ from vision.sheets.distortion import (
     NO_LOCKING,
     Distortion,
     PixelLocking,
-    _regression,
     _significant,
     pixel_locking,
 )
@@ -390,7 +389,7 @@ def test_a_soft_object_that_covers_ridges_in_part_is_in_their_errors(seed):
     off -= np.nanmedian(off, axis=0)
     larger = stated.x_err_px.values > 1.2 * without.x_err_px.values
     assert 0.005 < larger.mean() < 0.03
-    for tracks, low, high in ((stated, 0.6, 1.3), (without, 1.35, 3.5)):
+    for tracks, low, high in ((stated, 0.6, 1.3), (without, 1.35, 3)):
         assert low < np.sqrt(np.mean((off / tracks.x_err_px.values)[larger] ** 2)) < high
 
 
@@ -431,36 +430,20 @@ def test_specks_on_the_lens_are_in_the_errors_of_displacements():
     assert 0.4 < (off < error).mean() < 0.9
 
 
-@pytest.mark.parametrize("at", [0, 3, 25, 29])
-def test_a_speck_in_the_middle_of_a_ridge_is_in_the_error_of_displacements(at):
-    """A speck dims the light most where a sheet rests, so that the ridge's height has no slope there, only a
-    curvature, and its displacements are too large by a fifth. A failure means that no error is stated, or
-    none for the outermost sheets, which move most, or one for sheets without a speck."""
+@pytest.mark.parametrize("at", [0, 3, 29])
+def test_a_speck_beside_a_sheet_is_in_the_error_of_its_displacements(at):
+    """Its displacements are too small by a fifth. A failure means that no error is stated, as of outermost
+    sheets that are compared with themselves, or one for sheets without a speck."""
     x = comb(300, per_side=15, axis_px=320, slip=0.3, uneven=0.05)
     picture = strip(ridges(x, width=640, fwhm_px=8.0, contrast=brightness(30)), snr=100)
-    middle = (x[:, at].min() + x[:, at].max()) / 2
-    picture.values[:] *= 1 - 0.15 * np.exp(-(((np.arange(640) - middle) / 4) ** 2) / 2)
+    picture.values[:] *= 1 - 0.3 * np.exp(-(((np.arange(640) - x[:, at].mean() - 5) / 3) ** 2) / 2)
     tracks = track_sheets(picture, sheets=30)
     moved = x[:, at] - x[:, at].mean()
-    wrong = moved @ tracks.x_px.values[:, at] / (moved @ moved) - 1
+    wrong = 1 - moved @ tracks.x_px.values[:, at] / (moved @ moved)
     assert 0.15 < wrong < 0.25
-    assert 0.6 < tracks.misscaled.values[at] / wrong < 2
+    assert 0.6 < tracks.misscaled.values[at] / wrong < 1.5
     others = np.delete(np.where(np.ptp(x, axis=0) > 0.2, tracks.misscaled.values, 0), at)
     assert others.max() < 0.03
-
-
-def test_slow_drifts_of_position_and_height_are_no_dirt():
-    """A sheet that hardly moves drifts by tenths of a pixel while its light changes slowly by percents. A
-    failure means that one bends over the other by chance, and displacements have errors of their size."""
-    clear, frame = [], np.arange(1500)
-    for seed in range(40):
-        random = np.random.default_rng(seed)
-        drift, light = (gaussian_filter1d(random.normal(size=1500), 150) for _ in range(2))
-        x = 0.17 * drift / drift.std() + 0.03 * np.sin(frame / 8)
-        y = 0.02 * light / light.std() + 0.008 * random.normal(size=1500)
-        _, curvature, _, error2, _ = _regression(x, y)
-        clear.append(curvature**2 > DEFAULT.distortion_sigmas**2 * error2)
-    assert np.mean(clear) < 0.05
 
 
 @pytest.mark.parametrize("fwhm_px", [4.5, 8.0])

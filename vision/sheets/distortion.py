@@ -319,7 +319,7 @@ def distortion(
         del shapes[1:]
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
-    scale = displacement_scale_error(x_px, shapes, comb)
+    scale = displacement_scale_error(x_px, shapes, settings)
     rest = typical_median(x_px)
     size = _shift_by_light(rest, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
@@ -427,50 +427,30 @@ class _Difference(NamedTuple):
     noise: float
 
 
-def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], comb: RidgeComb) -> Floats:
+def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
     r"""Return the relative error of each sheet's displacements from what stands still in the picture, (N,).
 
     Dirt on the lens or on the sensor changes a ridge that moves past it. Where it dims the light by a factor
     T(x), it shifts a ridge of standard deviation :math:`\sigma_r` by
     :math:`\sigma_r^2\,\mathrm{d} \ln T/\mathrm{d}x`. This shift changes as the ridge moves, so that all
-    displacements of the sheet are too large or too small by the same factor,
-    :math:`\sigma_r^2\,\mathrm{d}^2 \ln T/\mathrm{d}x^2`. Positions alone do not show it, but the ridge's
-    height, in proportion to T, and its shape change with its position.
+    displacements of the sheet are too large or too small by the same factor. Positions alone do not show it,
+    but the ridge's shape and height change with its position.
 
     shape: the logarithm of the height and, where flanks do not overlap, the differences between the fits of
-    `distortion`, px, (frame, N). The slope of each over the position, less what neighbouring sheets share
-    (paper that leans as it creeps), times `static_scale`, and, where flanks do not overlap, the curvature of
-    the first, times :math:`\sigma_r^2`, are the error, where they are significant. Below `static_floor` it is
-    0. The curvature is used of sheets that move by a pixel or more, since the place in a pixel changes
-    heights as well, and together with their neighbours, since their distance does.
+    `distortion`, px, (frame, N). The regression of each on the position, less what neighbouring sheets share
+    (paper that leans as it creeps), times `static_scale`, is the error, where it is significant. Below
+    `static_floor` it is 0.
     """
-    settings, square = comb.settings, np.zeros(x_px.shape[1])
-    overlapping = len(shape) == 1
-    moved_px = nan_quantile(x_px, 0.95) - nan_quantile(x_px, 0.05)
-    straight = overlapping | (moved_px < 1.0) | _moves_alone(x_px, settings)
-    bent = np.where(straight, 0.0, (comb.fwhm_px / FWHM) ** 2)
+    square = np.zeros(x_px.shape[1])
     for values, factor in zip(shape, settings.static_scale, strict=False):
-        pairs = zip(x_px.T, values.T, strict=True)
-        each = in_two_threads(lambda pair: _regression(*pair), pairs)
-        slope, curvature, *errors2, count = np.array(each, np.float64).reshape(-1, 5).T
+        both = zip(x_px.T, values.T, strict=True)
+        each = in_two_threads(lambda pair: _regression(*pair), both)
+        slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
         slope -= running_median(slope, settings.leaning_sheets, ends="inside")
-        of_slope, of_curvature = errors2
-        for found, error2, over in ((slope, of_slope, factor), (curvature, of_curvature, bent)):
-            clear = (found**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
-            square += np.where(clear, over**2 * (found**2 - error2), 0.0)
-        bent = np.zeros_like(bent)
+        found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
+        square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
         give_back_tables()
     return _if_above(np.sqrt(square), settings.static_floor)
-
-
-def _moves_alone(x_px: Floats, settings: TrackingSettings) -> Bools:
-    """Return which sheets move against both neighbours, at the ends against one, by a good part of their
-    motion, (N,)."""
-    x = x_px[typical_rows(len(x_px))]
-    beside = np.pad(x, ((0, 0), (1, 1)), "reflect" if x.shape[1] > 1 else "edge")
-    apart = x - (beside[:, :-2] + beside[:, 2:]) / 2
-    own, all_ = (sigma_about_zero(each - nan_median(each)) for each in (apart, x))
-    return np.asarray(own > settings.moves_alone * all_, bool)
 
 
 def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
@@ -520,36 +500,16 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
     return float(np.sum(shared**2 / spread)) / total, cells * variance / total
 
 
-def _regression(x: Floats, y: Floats) -> tuple[float, ...]:
-    """Return slope and curvature of y over x, both (frame,), their squared errors, and the number of known
-    values. The slope is that of a straight line. Slow drifts of x and y bend one over the other by chance:
-    the curvature is measured within parts of the film as well. The smaller result counts, 0 if their signs
-    differ, with the larger of both errors, of which that of the parts is a jackknife.
-    """
+def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
+    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
     known = np.isfinite(y) & np.isfinite(x)
     count = max(int(known.sum()), 1)
-    pieces = np.array_split(np.arange(len(x)), _PARTS)
-    products, loads = np.array([_bent(x[rows], y[rows], known[rows])[:2] for rows in pieces]).T
-    total = max(float(products.sum()), 1e-12)
-    within = float(loads.sum()) / total
-    without = (loads - within * products) / np.fmax(total - products, 1e-12)  # changes it by this
-    product, load, slope, rest, spread = _bent(x, y, known)
-    bent = load / max(product, 1e-12)
-    variance = float(rest @ rest) / max(count - 3, 1) * correlation_inflation(rest, 0.95)
-    curvature = min(bent, within, key=abs) if bent * within > 0 else 0.0
-    error2 = max(float(without @ without), variance / max(product, 1e-12))
-    return slope, curvature, variance / spread, error2, count
-
-
-def _bent(x: Floats, y: Floats, known: Bools) -> tuple[float, float, float, Floats, float]:
-    """Return the sums of squares, and of products with y, of the curvature of x beside its slope; the slope
-    of y, what slope and curvature leave, and the sum of squares of x. All are (frame,)."""
     x, y = centred(x, known), centred(y, known)
-    spread = max(float(x @ x), 1e-12)
-    bend = centred(x**2 / 2, known)
-    bend -= float(bend @ x) / spread * x
-    product, load, slope = float(bend @ bend), float(bend @ y), float(x @ y) / spread
-    return product, load, slope, y - slope * x - load / max(product, 1e-12) * bend, spread
+    spread = max(float((x**2).sum()), 1e-12)
+    slope = float((x * y).sum()) / spread
+    rest = y - slope * x
+    variance = float((rest**2).sum()) / max(count - 2, 1) * correlation_inflation(rest, 0.95)
+    return slope, variance / spread, count
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:

@@ -565,11 +565,6 @@ class TrackingSettings(Tunable):
     the errors of crowded combs (test_slight_differences_between_sheets_are_no_distortion at 0.5), smaller
     overlooks dirt."""
 
-    moves_alone: float = 0.5
-    """Motion of a sheet against both neighbours over its own, above which the curvature of its height is no
-    sign of dirt. Larger takes sheets that swing alone for misplaced by dirt (test_scatter.py), smaller
-    overlooks dirt in the middle of sheets unlike their neighbours (test_distortion.py at 0.05)."""
-
     static_floor: float = 0.01
     """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
     deformation measures them; larger overlooks faint dirt."""
