@@ -593,13 +593,14 @@ def noise_correlation(
     if not (one > WHOLE_LEVELS**2 and found > least):
         return 0.0
     three, four, six = typical(3), typical(4), typical(6)
-    if two > 2 * one:
+    decays = two <= 2 * one
+    if not decays:
         # Noise that lasts for ever would have twice the variance at twice the lag.
         if two > 2.1 * one and six > NO_MORE * four:
             return 0.0
         found = 2 - float(np.sqrt(1 + 3 * one / six))
-    lasts = min(three / two, four / three, six / four) > NO_LESS and four / two < 1.2 * two / one
-    return found if lasts else 0.0
+    lasts = min(four / three, six / four) > NO_LESS and four / two < 1.2 * two / one
+    return found if lasts and three > (1.0 if decays else NO_LESS) * two else 0.0
 
 
 def _own_motion(x_px: Floats, frozen: Bools, lag: int) -> Floats:
