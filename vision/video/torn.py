@@ -12,7 +12,7 @@ PARTS = 8  # of the columns, which must agree
 LEAST_ROWS = 4  # of half a strip
 LEAST_COLUMNS = 64
 LARGEST = 1e15  # grey level whose square is a number in single precision
-ALL_EXAMINED, ONE_IN = 512, 8  # frames at the beginning; later one block in eight, which costs less time
+ALL_EXAMINED, ONE_IN = 256, 16  # frames at the beginning; later one block of sixteen, which takes less time
 
 
 class TornFrames:
