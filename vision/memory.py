@@ -80,9 +80,13 @@ def table_beside(
     values: NDArray[Any], shape: tuple[int, ...], dtype: DTypeLike = np.float64, order: Order = "C"
 ) -> NDArray[Any]:
     """Return a table whose values are not set yet: in a temporary file in the folder of that of `values`, if
-    these are in one and the disk has room, else in memory."""
+    these are in one and the disk has room, else in memory.
+
+    The memory of the tables that are in files by then is given back.
+    """
     file = _file_of(values)
     if file is not None and 0 not in shape:
+        give_back_tables()
         with suppress(OSError):
             return table_in_file(shape, file.folder, dtype, order)
     return np.empty(shape, dtype, order)

@@ -132,7 +132,7 @@ def track_one(
     decide_again: bool = False,
 ) -> tuple[int, Analysis]:
     """Track one film into one run folder; return the exit status and the analysis, of a long film without
-    I(x, t), and without the tracks unless it is one of many.
+    I(x, t), force and motion, and without the tracks unless it is one of many.
 
     one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
     printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
@@ -176,10 +176,9 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
-        # These are in the run folder, and most of what is in memory; results of many films may be pooled.
-        analysis = replace(analysis, strip=None)
-        if not one_of_many:
-            analysis = replace(analysis, tracks=None, force=None, motion=None)
+        # These are in the run folder, and most of what is in memory; a table of many films shows the tracks.
+        shown = analysis.tracks if one_of_many else None
+        analysis = replace(analysis, strip=None, tracks=shown, force=None, motion=None)
         prepare_review(target, settings)
     return status, analysis
 

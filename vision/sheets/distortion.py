@@ -310,7 +310,6 @@ def distortion(
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
     height[~(height > 0)] = np.nan
     log_height = np.log(height, out=height)
-    give_back_tables()
     narrow = comb.fwhm_px < settings.sampled_well_px
     if narrow:
         _subtract_pixel_phase((log_height, apart, sloping), x_px)
@@ -449,7 +448,6 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
         slope -= running_median(slope, settings.leaning_sheets, ends="inside")
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
         square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
-        give_back_tables()
     return _if_above(np.sqrt(square), settings.static_floor)
 
 

@@ -494,7 +494,6 @@ def learned_template(
         learned &= position_noise(by_match) <= position_noise(by_window)
     for n in np.flatnonzero(learned).tolist():
         learned[n] = _same_motion(x_px[:, n] - middle[n], matched[:, n] - middle[n], settings)
-    give_back_tables()
     if learned.mean() < 0.5:
         return x_px, err, none
     for n in range(x_px.shape[1]):
@@ -520,7 +519,6 @@ def _match_all(
     half = comb.half_px(0.9)
     out, err = (table_beside(profile, x.shape, order="F") for _ in range(2))
     out[:], err[:] = np.nan, np.nan
-    give_back_tables()
 
     def match(n: int) -> None:
         """Match one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""

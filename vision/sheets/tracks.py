@@ -20,7 +20,7 @@ from vision.data import (
     record,
 )
 from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
-from vision.memory import give_back_tables, words
+from vision.memory import words
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -168,12 +168,10 @@ def track_sheets(
 
     detected = _detect(profile, comb, sheets, facts.source, corrections, number, first_px)
     detections = detected.detections
-    give_back_tables()
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
     errors = _errors(profile, fitted, frozen, facts, settings)
     assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb)
-    give_back_tables()
     axis = None if axis_px is None else axis_px - first_px
     width = profile.shape[1]
     numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
@@ -272,7 +270,6 @@ def _assess_ridges(
     changing = _unrepeated(x_px, frozen)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     del changing
-    give_back_tables()
     smeared = (blur_px > 0) | blurred
     smears, blur2 = np.nonzero(blur_px), blur_px[blur_px != 0] ** 2  # few ridges
     del blur_px
@@ -281,7 +278,6 @@ def _assess_ridges(
     distorted_px, usual_px, lasting_px, scale = distortion(
         profile, x_px, err, detections.fwhm_px, smeared, comb
     )
-    give_back_tables()
     rest_px = rest_positions(x_px)
     # images of the frames before are a second comb, which shifts positions by the lag
     second = SecondComb() if lasting else second_comb(profile, x_px, smeared, comb)
@@ -301,7 +297,6 @@ def _assess_ridges(
         moved = np.nan_to_num(np.diff(x_px, axis=0, prepend=x_px[:1]))
         err += lag**2 * np.fmax(moved**2 - 2 * err, typical_median(moved) ** 2)  # less noise; at least creep
     np.sqrt(err, out=err)
-    give_back_tables()
     usual = typical_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen)), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
@@ -533,7 +528,6 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     """Assemble the Dataset that `track_sheets` returns; positions and errors are changed in place."""
     detections, errors, assessed = found.detected.detections, found.errors, found.assessed
     flag = _flags(strip, found)
-    give_back_tables()
     ok = (flag == Flag.OK) | (flag == Flag.BLURRED)
     x, err = assessed.x_px, assessed.err_px
     x[~ok] = err[~ok] = np.nan
@@ -542,7 +536,6 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     withheld_px += np.float32(found.origin_px)  # whole pixels
     shift = constant_shift(profile, x, metadata.window_px, found.comb)
     x += found.origin_px
-    give_back_tables()
     why = np.where(flag == Flag.DOUBTFUL, detections.why, np.uint8(Doubt.NONE))
     values: dict[str, Any] = {
         "x_px": x,

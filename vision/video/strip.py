@@ -121,14 +121,14 @@ def strip_profile(
         first = max(0, store.count - count)
         return plan.assembled(video, store.copy(first, store.count), first)
 
-    torn = TornFrames(plan.strip.rows, settings)
+    torn = TornFrames(plan.strip.rows.stop - plan.strip.rows.start, plan.width, settings)
     for latest, block in _blocks(video, plan, store.count, follow):
         video = latest
         read = _reduced(video, block)
         store.add(read)
         if torn.examines(block.start):
-            half = max(1, block.pixels.shape[1] // 2)
-            torn.add(read.intensity, row_means(block.pixels[:, :half]), read.status == "ok", block.start)
+            upper = row_means(block.pixels[:, : torn.upper_rows])
+            torn.add(read.intensity, upper, read.status == "ok", block.start)
         if log is not None:
             log.add(store)
         if progress is not None:

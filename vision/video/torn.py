@@ -30,8 +30,9 @@ class TornFrames:
     camera that turns change d, too. The error of :math:`\beta` is the scatter between parts of the columns.
     """
 
-    def __init__(self, rows: slice, settings: VideoSettings) -> None:
-        self._rows, self._settings = rows.stop - rows.start, settings
+    def __init__(self, rows: int, columns: int, settings: VideoSettings) -> None:
+        self._rows, self.upper_rows, self._settings = rows, rows // 2, settings
+        self._large_enough = self.upper_rows >= LEAST_ROWS and columns >= LEAST_COLUMNS
         self._blocks = 0
         self._last: tuple[Floats32, Floats32] | None = None  # mean, and lower less upper half
         self._lag: list[Floats] = []
@@ -44,20 +45,19 @@ class TornFrames:
         due = first < ALL_EXAMINED or self._blocks % ONE_IN == 0
         if not due:
             self._last = None
-        return due
+        return due and self._large_enough
 
     def add(self, mean: Floats32, upper: Floats32, usable: Bools, first: int) -> None:
-        """Add a block: means of all rows and of the upper half, (frame, x), which frames are usable, and the
-        number of the first."""
-        half, frame = self._rows // 2, first + np.arange(len(mean))
-        if half < LEAST_ROWS or mean.shape[1] < LEAST_COLUMNS:
-            return
+        """Add a block: means of all rows and of the `upper_rows`, (frame, x), which frames are usable, and
+        the number of the first."""
+        half, frame = self.upper_rows, first + np.arange(len(mean))
         usable = usable & (np.abs(mean) < LARGEST).all(axis=1) & (np.abs(upper) < LARGEST).all(axis=1)
         if not usable.all():
             mean, upper, frame = mean[usable], upper[usable], frame[usable]
         if not len(mean):
             return
-        apart = (self._rows * mean - half * upper) / (self._rows - half) - upper
+        lower = np.asarray((self._rows * mean - half * upper) / (self._rows - half), np.float32)
+        apart = lower - upper
         last_mean, last_apart = (mean[:1], apart[:1]) if self._last is None else self._last
         self._last = mean[-1:].copy(), apart[-1:].copy()
         step, change = np.diff(mean, axis=0, prepend=last_mean), np.diff(apart, axis=0, prepend=last_apart)
