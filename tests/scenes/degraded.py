@@ -350,11 +350,12 @@ class Outcome:
     gross
         Share of those called ok whose displacement is off by more than 0.2 px and 5 stated errors.
     coverage, coverage_moved
-        Share within one stated error; the same for displacements (without each sheet's mean error).
+        Share of the positions within one stated error, to which that of all frames (`constant_error_px`)
+        belongs; and of the displacements (without each sheet's mean error) within `x_err_px`.
     rms_px, stated_px
-        RMS error and RMS stated error, wrong ones aside.
-    bias_px
-        RMS over the sheets of their mean error.
+        RMS error and RMS `x_err_px`, wrong ones aside.
+    bias_px, constant_px
+        RMS over the sheets of their mean error, and of the stated one.
     """
 
     sheets: int
@@ -367,6 +368,7 @@ class Outcome:
     rms_px: float
     stated_px: float
     bias_px: float
+    constant_px: float
 
 
 def measured(film: Film, folder: Path, codec: str = "FFV1") -> Outcome:
@@ -390,16 +392,17 @@ def compare(tracks: xr.Dataset, truth_px: Floats) -> Outcome:
         wrong += int(ok[:, k].sum()) if sheet[k] in sheet[:k] else 0
     error = np.where(np.abs(error) > half, np.nan, error)
     known = np.isfinite(error)
-    middle = np.nanmean(error, axis=0)
+    middle, total = np.nanmean(error, axis=0), np.hypot(err, tracks.constant_error_px.values)
     return Outcome(
         sheets=x.shape[1],
         positions=truth_px.size,
         found=float(known.sum() / truth_px.size),
         wrong=wrong,
         gross=float((np.abs(error - middle) > np.maximum(0.2, 5 * err)).sum() / known.sum()),
-        coverage=float((np.abs(error) <= err).sum() / known.sum()),
+        coverage=float((np.abs(error) <= total).sum() / known.sum()),
         coverage_moved=float((np.abs(error - middle) <= err).sum() / known.sum()),
         rms_px=float(np.sqrt(np.nanmean(error**2))),
         stated_px=float(np.sqrt(np.mean(err[known] ** 2))),
         bias_px=float(np.sqrt(np.nanmean(middle**2))),
+        constant_px=float(np.sqrt(np.nanmean(tracks.constant_error_px.values**2))),
     )
