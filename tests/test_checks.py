@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from scipy.ndimage import gaussian_filter
 
 import vision.checks
 import vision.pipeline
@@ -464,6 +465,17 @@ def test_frames_of_another_scene_are_named(picture, tracked):
     lines = [line for line in tracking_warnings(track_sheets(other)) if "fewer than half" in line]
     assert len(lines) == 1
     assert "in 60 frames (the longest run is 90:150)" in lines[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_film_of_something_else_is_not_taken_for_sheets(picture, tracked, seed):
+    """A failure means that a landscape gets six warnings, and none says that it shows no sheets."""
+    line = "may be no comb of sheets"
+    assert line not in " ".join(tracking_warnings(tracked))
+    smooth = gaussian_filter(np.random.default_rng(seed).normal(0, 1, picture.shape), [6, 5])
+    scene = picture.copy(data=np.float32(100 + 40 * smooth / smooth.std()))
+    tracks = track_sheets(scene)
+    assert line in tracking_warnings(tracks)[0], seed
 
 
 def test_positions_are_left_out_for_the_reason_that_holds():

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FlagCounts, TrackMetadata, Tunable
+from vision.data import FlagCounts, StripMetadata, TrackMetadata, Tunable
 from vision.errors import counted, first_of
 from vision.memory import is_word
 from vision.models.equations import effective_sheets
@@ -59,6 +59,9 @@ class CheckSettings(Tunable):
     second_comb: float = 2.0
     """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
     is silent about reflections that double the errors; smaller warns where they matter little."""
+    few_measured: float = 0.5
+    """Share of the positions that are measured below which a warning doubts that there is a comb of sheets.
+    Films of landscapes and faces reach 0.02 to 0.49; larger doubts combs that something hides for long."""
     changed_px: float = 0.1
     """Error of most positions of a frame, px, from which a warning counts the frame, where ridges look unlike
     usual.  Smaller names errors well below a sheet's sweep; larger is silent where the light moves from one
@@ -143,6 +146,13 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
     yield from _wrong_moments(tracks, found, tracking)
+    if flags.measured < settings.few_measured * total:
+        strip = StripMetadata.of(tracks)
+        yield (
+            f"only {100 * flags.measured / total:.0f} % of the positions are measured: what is found in rows"
+            f" {strip.strip_z0}:{strip.strip_z1} may be no comb of sheets: look at the film, and give where"
+            " they are (`rows`, `columns`, `frames`) or how the picture lies (`rotate`)"
+        )
     if uncertain := flags.of(DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:
