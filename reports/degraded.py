@@ -107,7 +107,7 @@ def main() -> None:
         "- *within 1 error*: displacements, of which σ_x is made, that are off by at most `x_err_px`.",
         "  Wanted: 62–74 %. Positions that are off by at most the root of the squares of `x_err_px` and",
         "  `constant_error_px`: texture of the paper, light and unequal pixels shift a ridge by a constant.",
-        "- *RMS*, *x_err*: of the error and of `x_err_px`. *constant*, *stated*: mean error of each sheet",
+        "- *RMS*, *x_err*: of the error and of `x_err_px`. *constant*, *stated*: median error of each sheet",
         "  and `constant_error_px`, RMS over the sheets. The latter is rather too large than too small:",
         "  paper that is brighter on one side shifts ridges further than the texture drawn here.",
         "",
