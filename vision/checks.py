@@ -146,10 +146,12 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
     yield from _wrong_moments(tracks, found, tracking)
-    if flags.measured < settings.few_measured * total:
+    # frozen, blank and lost frames, and decisions, say nothing about the comb
+    share = flags.measured / max(1, flags.measured + flags.of((*DOUBTFUL, *WITHOUT_RIDGE)))
+    if share < settings.few_measured:
         strip = StripMetadata.of(tracks)
         yield (
-            f"only {100 * flags.measured / total:.0f} % of the positions are measured: what is found in rows"
+            f"only {100 * share:.0f} % of the positions are measured: what is found in rows"
             f" {strip.strip_z0}:{strip.strip_z1} may be no comb of sheets: look at the film, and give where"
             " they are (`rows`, `columns`, `frames`) or how the picture lies (`rotate`)"
         )
