@@ -7,10 +7,11 @@ VISION = Path(__file__).parents[1] / "vision"
 # In order: each may import itself and those before it. docs/architecture.md shows the same list.
 LAYERS = (
     "errors",
-    "numeric",
-    "signals",
     "files",
     "memory",
+    "numeric",
+    "words",
+    "signals",
     "folder",
     "data",
     "sample",

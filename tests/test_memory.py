@@ -22,20 +22,16 @@ from vision import memory
 from vision.memory import (
     give_back,
     give_back_freed,
-    give_back_tables,
-    is_word,
+    in_two_threads,
     parts_in_turn,
     put_rows,
     some_rows,
     table_beside,
     table_in_file,
-    word_codes,
-    word_counts,
-    words,
-    words_of_characters,
 )
 from vision.sheets import track_sheets
 from vision.video import VideoSettings, open_video, strip_profile
+from vision.words import is_word, word_codes, word_counts, words, words_of_characters
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="no peak of the memory")
 
@@ -69,7 +65,7 @@ def test_tables_beside_one_in_a_file_are_in_files(table, monkeypatch, kept):
     assert isinstance(beside.base, mmap.mmap)
     beside[:] = np.arange(300).reshape(2, 50, 3)
     monkeypatch.setattr(memory, "_KEPT_BYTES", kept)
-    give_back_tables()
+    assert in_two_threads(lambda n: beside[0, n, 0], [0, 49]) == [0, 147]
     assert np.array_equal(beside.ravel(), np.arange(300))
     in_memory = [table_beside(np.zeros(3), (4, 5)), table_beside(table, (0, 5))]
     monkeypatch.setattr(os, "posix_fallocate", Mock(side_effect=OSError), raising=False)

@@ -7,13 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from vision.memory import in_two_threads, row_parts
 from vision.numeric import (
     common_change,
-    in_two_threads,
     median_step,
     nan_median,
     nan_quantile,
-    row_parts,
     spread_indices,
     typical_median,
     typical_rows,

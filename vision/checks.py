@@ -13,7 +13,6 @@ import xarray as xr
 
 from vision.data import FlagCounts, StripMetadata, TrackMetadata, Tunable
 from vision.errors import counted, first_of
-from vision.memory import is_word
 from vision.models.equations import effective_sheets
 from vision.numeric import (
     Bools,
@@ -36,6 +35,7 @@ from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.tracks import comb_is_stationary
 from vision.video.reader import BETWEEN_FRAMES
+from vision.words import is_word
 
 if TYPE_CHECKING:
     from vision.models import ModelFits

@@ -23,8 +23,8 @@ import xarray as xr
 
 from vision.errors import InputError, check_within
 from vision.folder import plain
-from vision.memory import word_counts
 from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.words import word_counts
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

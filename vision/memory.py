@@ -1,9 +1,8 @@
-"""Large tables that take little memory: those in temporary files, and those of few different words.
+"""Large tables that take little memory: tables in temporary files, and passes over them a part at a time.
 
 Of a table in a file only the part in use is in memory. Where I(x, t) is in one, so are the tables of
-positions (`table_beside`). Words, such as the flags of positions, take a byte
-each: as text they take 36 bytes a position, so that a film of 100 000 frames would have more text than
-positions. Text is made when it is read, of the part that is read.
+positions (`table_beside`). Whatever goes through them in parts (`row_parts`, `in_two_threads`) gives their
+memory back to the system, which reads them again when they are needed.
 """
 
 from __future__ import annotations
@@ -14,27 +13,29 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import reduce
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-import xarray as xr
 from numpy.lib.array_utils import byte_bounds
 from numpy.typing import DTypeLike, NDArray
-from xarray.backends import BackendArray
-from xarray.core import indexing
 
 from vision.files import c_library
-from vision.numeric import Bools, Codes, Floats32, Ints, Strings, row_parts
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Order = Literal["C", "F"]
 
+ROWS_AT_ONCE = 2048
+"""Frames of which tables are computed at once (`row_parts`)."""
 _APART_AT_ONCE = 16  # rows far from each other in the file
 _KEPT_BYTES = 256 << 20  # of I(x, t) and tables in files: below, memory is spent to save 7 % of the time
-_ROWS_AT_ONCE = 1024  # consecutive ones: 8 MiB of 1920 columns
+
+_OTHER_THREAD = ThreadPoolExecutor(1)
+"""That of `in_two_threads`. To start one for each call takes 0.1 ms, a hundred times in a short film."""
 
 
 # --- tables in temporary files ------------------------------------------------------------------------------
@@ -80,19 +81,16 @@ def table_beside(
     values: NDArray[Any], shape: tuple[int, ...], dtype: DTypeLike = np.float64, order: Order = "C"
 ) -> NDArray[Any]:
     """Return a table whose values are not set yet: in a temporary file in the folder of that of `values`, if
-    these are in one and the disk has room, else in memory.
-
-    The memory of the tables that are in files by then is given back.
-    """
+    these are in one and the disk has room, else in memory."""
     file = _file_of(values)
     if file is not None and 0 not in shape:
-        give_back_tables()
+        _give_back_tables()
         with suppress(OSError):
             return table_in_file(shape, file.folder, dtype, order)
     return np.empty(shape, dtype, order)
 
 
-def put_rows(table: Floats32, start: int, rows: Floats32) -> None:
+def put_rows(table: NDArray[np.float32], start: int, rows: NDArray[np.float32]) -> None:
     """Write consecutive rows into a table from row `start` on; into a file, without bringing it into memory.
 
     Writing through the mapping would first have the system fetch each page, which takes four times as long.
@@ -130,12 +128,13 @@ def _file_of(values: NDArray[Any]) -> _TemporaryFile | None:
     return owner if isinstance(owner, _TemporaryFile) else None
 
 
-def give_back_tables() -> None:
+def _give_back_tables() -> None:
     """Give the memory of all tables in temporary files back to the system, unless they are small."""
-    files = [file for reference in _TemporaryFile.in_use.valuerefs() if (file := reference())]
-    if hasattr(mmap, "MADV_DONTNEED") and sum(map(len, files)) > _KEPT_BYTES:
-        for file in files:
-            file.madvise(mmap.MADV_DONTNEED)
+    if _TemporaryFile.in_use and hasattr(mmap, "MADV_DONTNEED"):
+        files = [file for reference in _TemporaryFile.in_use.valuerefs() if (file := reference())]
+        if sum(map(len, files)) > _KEPT_BYTES:
+            for file in files:
+                file.madvise(mmap.MADV_DONTNEED)
 
 
 def give_back_freed() -> None:
@@ -147,20 +146,13 @@ def give_back_freed() -> None:
     """
     if _TemporaryFile.in_use:
         gc.collect(1)
-        give_back_tables()
+        _give_back_tables()
     if library := c_library():
         with suppress(AttributeError):
             library.malloc_trim(0)
 
 
-def parts_in_turn(table: NDArray[Any], at_once: int = _ROWS_AT_ONCE) -> Iterator[slice]:
-    """Yield slices of consecutive rows of a table, and give back the memory of each before the next."""
-    for rows in row_parts(len(table), at_once):
-        yield rows
-        give_back(table[rows])
-
-
-def some_rows(table: NDArray[Any], rows: Ints) -> NDArray[Any]:
+def some_rows(table: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
     """Return some rows of a table, copied.
 
     A few are copied at a time, since each can bring the megabytes around it in the file into memory.
@@ -172,105 +164,51 @@ def some_rows(table: NDArray[Any], rows: Ints) -> NDArray[Any]:
     return found
 
 
-# --- tables of words ----------------------------------------------------------------------------------------
+# --- passes over large tables ------------------------------------------------------------------------------
 
 
-class _Words(BackendArray):
-    """Words as xarray reads them: the number of each in a list of words."""
+def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
+    """Yield slices of consecutive rows: what is computed of a part at a time takes little memory.
 
-    def __init__(self, codes: Codes, listed: Sequence[str]) -> None:
-        self.codes, self.listed = codes, np.array(listed)
-        self.shape, self.dtype = codes.shape, self.listed.dtype
-
-    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        support = indexing.IndexingSupport.OUTER_1VECTOR
-        return indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
-
-    def _read(self, key: tuple[Any, ...]) -> Any:
-        return self.listed[self.codes[key]]
-
-
-def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
-    """Return the data of a variable whose values are words.
-
-    codes: number of each word in the list.  listed: the words.
-
-    Returns
-    -------
-    MemoryCachedArray
-        To pass to `xarray.Variable` as its data, as xarray does for files. What is read of the variable is an
-        array of str; one that was read or changed as a whole stays in memory as text.
+    Before the next, the memory of tables in temporary files is given back.
     """
-    read_later: Any = indexing.LazilyIndexedArray(_Words(codes, listed))
-    return indexing.MemoryCachedArray(indexing.CopyOnWriteArray(read_later))  # type: ignore[no-untyped-call]
+    for start in range(0, rows, at_once):
+        yield slice(start, min(start + at_once, rows))
+        _give_back_tables()
 
 
-def _numbered(text: xr.DataArray) -> tuple[Codes, Strings] | None:
-    """Return the number of each word, and the words, of a table from `words` or a part of it; None if it is
-    in memory as text. To count them in 20 000 frames of 50 sheets takes 1 ms, and 57 ms as text."""
-    data = text.variable._data  # xarray has no other way to what is not read yet
-    while isinstance(data, indexing.MemoryCachedArray | indexing.CopyOnWriteArray):
-        data = data.array
-    if not isinstance(data, indexing.LazilyIndexedArray) or not isinstance(data.array, _Words):
-        return None
-    part = xr.Variable(text.dims, indexing.LazilyIndexedArray(data.array.codes, data.key))
-    return part.values, data.array.listed
+def parts_in_turn(table: NDArray[Any], at_once: int = 1024) -> Iterator[slice]:
+    """Yield slices of consecutive rows of a table, and give back the memory of each before the next."""
+    for rows in row_parts(len(table), at_once):
+        yield rows
+        give_back(table[rows])
 
 
-def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
-    """Return the data of a variable of words that a file holds as characters, (rows, …, character).
+def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return the results of `work` for all items, in order, found by this thread and another.
 
-    The file is read a few rows at a time.
-
-    Raises: ValueError or OverflowError if they are no text, or more than 256 different words.
+    What `work` writes must be another part of an array for each item. `np.errstate` around the call does not
+    hold in the other thread. After each item, the memory of tables in temporary files is given back.
     """
-    codes = np.empty(characters.shape[:-1], np.uint8)
-    listed: list[bytes] = []
-    for rows in row_parts(len(characters)):
-        whole = np.ascontiguousarray(characters[rows].values).view(f"S{characters.shape[-1]}")
-        codes[rows] = number_words(whole[..., 0], listed)
-    return words(codes, [word.decode() for word in listed])
+    todo, results = list(items), dict[int, Result]()
+    numbers = iter(range(len(todo)))
 
+    def work_through() -> None:
+        try:
+            for k in numbers:  # each thread takes the next
+                results[k] = work(todo[k])
+                _give_back_tables()
+        except BaseException:
+            list(numbers)  # nothing is left to do for the other thread
+            raise
 
-def word_codes(text: xr.DataArray, listed: Sequence[str]) -> Codes:
-    """Return the number of each word of a table (rows, …) in a list; 0 for words that are not in it."""
-    known = list(listed)
-    parts = [number_words(text[rows].values, known) for rows in row_parts(len(text))]
-    codes = np.concatenate([np.empty((0, *text.shape[1:]), np.uint8), *parts])
-    return np.where(codes < len(listed), codes, np.uint8(0))
-
-
-def number_words(text: NDArray[Any], listed: list[Any]) -> Codes:
-    """Return the number of each word in a list, to which words that it lacks are added."""
-    flat, codes, left = text.ravel(), np.empty(text.size, np.uint8), np.arange(text.size)
-    while left.size:  # there are about a dozen words; np.unique would sort all of them
-        word = flat[left[0]].item()
-        if word not in listed:
-            listed.append(word)
-        other = flat[left] != word
-        codes[left[~other]] = listed.index(word)
-        left = left[other]
-    return codes.reshape(text.shape)
-
-
-def is_word(text: xr.DataArray, *wanted: str) -> Bools:
-    """Return where a table of words (rows, …) has one of those that are wanted; a part is read at a time."""
-    if known := _numbered(text):
-        codes, listed = known
-        return np.asarray(np.isin(listed, wanted)[codes])
-    found = np.zeros(text.shape, bool)
-    for rows in row_parts(len(text)):
-        part: NDArray[Any] = text[rows].values
-        found[rows] = reduce(np.logical_or, (part == word for word in wanted))
-    return found
-
-
-def word_counts(text: xr.DataArray) -> dict[str, int]:
-    """Return how often each word occurs in a table (rows, …), in alphabetical order."""
-    found, counts = _numbered(text), np.zeros(256, np.int64)
-    listed = [] if found is None else found[1].tolist()
-    for rows in row_parts(len(text)):
-        codes = number_words(text[rows].values, listed) if found is None else found[0][rows]
-        counts += np.bincount(codes.ravel(), minlength=256)
-    known = dict(zip(listed, counts.tolist(), strict=False))
-    return {word: known[word] for word in sorted(known) if known[word]}
+    if len(todo) < 2:
+        work_through()
+    else:
+        other = _OTHER_THREAD.submit(work_through)
+        try:
+            work_through()
+        finally:
+            if not other.cancel():  # it has begun
+                other.result()
+    return [results[k] for k in range(len(todo))]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from vision.memory import in_two_threads, row_parts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,14 +35,9 @@ NORMAL_MEDIAN = 0.6744897501960817
 it estimates the standard deviation."""
 AT_ONCE = 1 << 16
 """Values of which medians are taken at once: a copy of more takes memory, and is not in a core's cache."""
-ROWS_AT_ONCE = 2048
-"""Frames of which tables are computed at once (`row_parts`)."""
 TYPICAL_ROWS = 4096
 """Frames of which typical values are found (`typical_median`). More take longer; the median of so many
 differs from that of all by 2 % of their scatter, and their median size by as much of itself."""
-
-_OTHER_THREAD = ThreadPoolExecutor(1)
-"""That of `in_two_threads`. To start one for each call takes 0.1 ms, a hundred times in a short film."""
 
 
 @dataclass(frozen=True)
@@ -221,40 +217,6 @@ def centred(values: Floats, known: Bools, axis: int = 0) -> Floats:
     """Return values less the mean of the known ones along an axis, and 0 where they are not known."""
     kept, count = np.where(known, values, 0.0), np.maximum(known.sum(axis=axis, keepdims=True), 1)
     return np.where(known, kept - kept.sum(axis=axis, keepdims=True) / count, 0.0)
-
-
-def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
-    """Yield slices of consecutive rows: what is computed of a part at a time takes little memory."""
-    return (slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once))
-
-
-def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return the results of `work` for all items, in order, found by this thread and another.
-
-    What `work` writes must be another part of an array for each item. `np.errstate` around the call does not
-    hold in the other thread.
-    """
-    todo, results = list(items), dict[int, Result]()
-    numbers = iter(range(len(todo)))
-
-    def work_through() -> None:
-        try:
-            for k in numbers:  # each thread takes the next
-                results[k] = work(todo[k])
-        except BaseException:
-            list(numbers)  # nothing is left to do for the other thread
-            raise
-
-    if len(todo) < 2:
-        work_through()
-    else:
-        other = _OTHER_THREAD.submit(work_through)
-        try:
-            work_through()
-        finally:
-            if not other.cancel():  # it has begun
-                other.result()
-    return [results[k] for k in range(len(todo))]
 
 
 def weighted_median(values: Floats, weights: Floats) -> float:

@@ -13,7 +13,8 @@ import xarray as xr
 
 from vision.data import MOTION, STIFF_BELOW, Tunable, changed_settings, check_threshold, record
 from vision.errors import check_kind
-from vision.numeric import Bools, Floats, Floats32, Ints, row_parts
+from vision.memory import row_parts
+from vision.numeric import Bools, Floats, Floats32, Ints
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import AT_ONCE, Floats, Ints, row_parts
+from vision.memory import row_parts
+from vision.numeric import AT_ONCE, Floats, Ints
 
 
 def running_median(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from vision.data import SIDES, TRACKS, DiagramMetadata, check_strip, record
 from vision.errors import InputError, shown
-from vision.memory import give_back, some_rows
-from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts
+from vision.memory import give_back, in_two_threads, row_parts, some_rows
+from vision.numeric import Bools, Floats, Floats32, Ints
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
 

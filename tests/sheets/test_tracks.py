@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
-from vision import numeric
+from vision import memory
 from vision.checks import consistency_warnings
 from vision.data import TRACKS, TrackMetadata, operations_of
 from vision.errors import InputError
@@ -118,7 +118,7 @@ def test_sizes_of_blocks_and_number_of_threads_change_nothing(monkeypatch):
     """A failure means that positions depend on the machine, or on where blocks of a film begin."""
     picture = recording(3, frames=300)[1]
     expected = track_sheets(picture)
-    monkeypatch.setattr(numeric.row_parts, "__defaults__", (37,))
+    monkeypatch.setattr(memory.row_parts, "__defaults__", (37,))
     sizes = {"FRAMES_PER_BLOCK", "AT_ONCE", "RIDGES_AT_ONCE", "FRAMES_AT_ONCE", "TRIPLES_AT_ONCE"}
     changed = set()
     for name, module in list(sys.modules.items()):

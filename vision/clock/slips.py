@@ -14,7 +14,8 @@ from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
 from vision.force.signal import averaged
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, in_two_threads, nan_median, row_parts
+from vision.memory import in_two_threads, row_parts
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, nan_median
 
 SLIPS_AT_ONCE = 256  # compared with the frames before them: thousands would take as much memory as the film
 

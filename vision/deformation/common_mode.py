@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from vision.deformation.creep import Creep, DeformationSettings, Noise, StickFrames, coefficient_errors
+from vision.memory import row_parts
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -21,7 +22,6 @@ from vision.numeric import (
     Ints,
     centred,
     nan_median,
-    row_parts,
     sigma_about_zero,
     typical_size,
 )

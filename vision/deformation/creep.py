@@ -14,7 +14,8 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from vision.data import TrackMetadata, Tunable
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, row_parts, typical_where
+from vision.memory import row_parts
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, typical_where
 
 POSITIONS_AT_ONCE = 100_000  # to which creep is fitted; more take memory, fewer calls of NumPy
 

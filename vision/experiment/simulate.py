@@ -30,7 +30,8 @@ from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, 
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.files import Progress, in_threads
 from vision.folder import TRUTH, run_folder
-from vision.numeric import Floats, Floats32, Ints, Pixels, row_parts
+from vision.memory import row_parts
+from vision.numeric import Floats, Floats32, Ints, Pixels
 
 # --- sensor -------------------------------------------------------------------------------------------------
 

@@ -29,9 +29,9 @@ from vision.figures.style import (
     position_unit,
     time_axis,
 )
-from vision.memory import is_word
 from vision.numeric import Floats, Floats32, Pixels, nan_median
 from vision.spacetime import grey_levels, grey_limits, space_time, time_rows
+from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes

@@ -22,8 +22,8 @@ from vision.clock import Clock, video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
-from vision.memory import word_codes
-from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nearest, row_parts, typical_median
+from vision.memory import row_parts
+from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nearest, typical_median
 from vision.review.recordings import Diagram, decided_clock
 from vision.run.reading import read_tracks
 from vision.sheets.corrections import (
@@ -42,6 +42,7 @@ from vision.sheets.ridges import RidgeComb, describe_ridges, find_faint, find_ri
 from vision.sheets.subpixel import FitName, fit_sheets, position_noise
 from vision.shells import classify_sheets, classify_shells
 from vision.video.strip import row_means
+from vision.words import word_codes
 
 if TYPE_CHECKING:
     from vision.review.session import Session

@@ -20,7 +20,8 @@ from vision.errors import InputError
 from vision.figures.style import HIGHLIGHT, ON_GREY, label_step, rgb
 from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
-from vision.numeric import Floats, Ints, Pixels, nan_median, row_parts
+from vision.memory import row_parts
+from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.run.reading import RunFolder, check_outside, check_results, first_column, read_json
 from vision.run.tables import tracks_table
 from vision.spacetime import grey_limits

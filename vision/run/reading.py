@@ -35,13 +35,13 @@ from vision.folder import (
     whole_file,
     write_json,
 )
-from vision.memory import words_of_characters
 from vision.numeric import number
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, read_kymograph_tif, sheets_table
 from vision.sheets.corrections import Correction, correction_of
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
+from vision.words import words_of_characters
 
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
 EVENT_COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")  # of events.csv that later stages need

@@ -22,14 +22,15 @@ from pyarrow import compute, csv
 from vision.data import OPERATIONS
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.memory import give_back_tables, number_words, parts_in_turn
-from vision.numeric import Floats, Floats32, rms, row_parts
+from vision.memory import parts_in_turn, row_parts
+from vision.numeric import Floats, Floats32, rms
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
 from vision.spacetime import grey_limits
 from vision.video import FrameStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
+from vision.words import number_words
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 1 << 16  # of the table of positions that are in memory
@@ -72,7 +73,6 @@ def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterato
     step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
     for frames in row_parts(max(1, tracks.sizes["frame"]), step):
         yield tracks_columns(tracks.isel(frame=frames), pixel_size_um=pixel_size_um)
-        give_back_tables()
 
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:

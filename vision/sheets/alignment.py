@@ -16,8 +16,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.memory import table_beside
-from vision.numeric import Floats, Ints, Ints32, Rows, in_two_threads, row_parts
+from vision.memory import in_two_threads, row_parts, table_beside
+from vision.numeric import Floats, Ints, Ints32, Rows
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 Real = TypeVar("Real", bound=np.floating)

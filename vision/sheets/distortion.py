@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import cv2
 import numpy as np
 
-from vision.memory import give_back_tables, some_rows, table_beside
+from vision.memory import in_two_threads, row_parts, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
@@ -24,10 +24,8 @@ from vision.numeric import (
     Floats32,
     centred,
     correlation_inflation,
-    in_two_threads,
     nan_median,
     nan_quantile,
-    row_parts,
     sigma_about_zero,
     spread_indices,
     typical_median,
@@ -350,7 +348,6 @@ def distortion(
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
         size[:, n] = np.fmax(np.fmin(found, within), covered_px[:, n])
         usual_px[n] = nan_median(np.fmin(slight, within))
-        give_back_tables()
 
     in_two_threads(of_sheet, range(x_px.shape[1]))
     if narrow:  # of what lasts, the place among the pixels is not told from dirt if a sheet hardly moves
@@ -553,7 +550,6 @@ def _error_over(
             total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
             ratio[k], weights[k] = np.nan, weight
             np.divide(move, change, where=known, out=ratio[k])
-            give_back_tables()
 
     in_two_threads(compare, row_parts(inner, -(-inner // 2) or 1))
     if not (weights > 0).any():

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.memory import table_beside
+from vision.memory import in_two_threads, row_parts, table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -24,11 +24,9 @@ from vision.numeric import (
     Ints32,
     beside,
     common_change,
-    in_two_threads,
     median_step,
     nan_median,
     nan_quantile,
-    row_parts,
     shifted,
     sigma_about_zero,
     typical_medians,

@@ -8,17 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.memory import give_back_tables, some_rows, table_beside
+from vision.memory import in_two_threads, row_parts, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     Bools,
     Floats,
     Floats32,
     centred,
-    in_two_threads,
     nan_median,
     nan_quantile,
-    row_parts,
     sigma_about_zero,
     spread_indices,
 )
@@ -92,14 +90,12 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
         moved[:, n] = step
         excess[:, n] = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
         loss[:, n] = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
-        give_back_tables()
 
     in_two_threads(measure, range(x_px.shape[1]))
     blurred, err = np.empty_like(fast), moved
 
     def judge(rows: slice) -> None:
         blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
-        give_back_tables()
 
     in_two_threads(judge, row_parts(len(x_px)))
     return blurred, err

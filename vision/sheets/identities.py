@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.memory import give_back_tables, table_beside
+from vision.memory import in_two_threads, row_parts, table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -22,10 +22,8 @@ from vision.numeric import (
     Ints,
     Ints32,
     common_change,
-    in_two_threads,
     median_step,
     nan_median,
-    row_parts,
     shifted,
     sigma_about_zero,
     typical_median,
@@ -116,7 +114,6 @@ def identify_sheets(
         real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
         real &= ~faint_ends(reference, moved, settings=comb.settings)
         del moved
-        give_back_tables()
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
         rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
@@ -124,7 +121,6 @@ def identify_sheets(
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
-    give_back_tables()
     margin = table_beside(ridges.x_px, match.shape)
     np.take(pairing.margin, segments.of_frames(), axis=0, out=margin, mode="clip")
     margin[match < 0] = np.nan

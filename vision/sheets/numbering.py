@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median, row_parts, typical_median, typical_size
+from vision.memory import row_parts
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median, typical_median, typical_size
 from vision.sheets.reference import spacing_sizes
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise

@@ -7,18 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.memory import some_rows
-from vision.numeric import (
-    Bools,
-    Floats,
-    Floats32,
-    Ints,
-    in_two_threads,
-    nan_median,
-    row_parts,
-    sigma_about_zero,
-    spread_indices,
-)
+from vision.memory import in_two_threads, row_parts, some_rows
+from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, sigma_about_zero, spread_indices
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 from vision.video.times import usual_step_s

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.memory import give_back_tables, is_word, some_rows, table_beside
+from vision.memory import row_parts, some_rows, table_beside
 from vision.numeric import (
     Bools,
     Codes,
@@ -25,7 +25,6 @@ from vision.numeric import (
     beside,
     nan_median,
     nearest,
-    row_parts,
     stretches,
     typical_median,
     typical_rows,
@@ -43,6 +42,7 @@ from vision.sheets.doubts import (
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
+from vision.words import is_word
 
 
 class Flag(IntEnum):
@@ -105,10 +105,8 @@ def assign_detections(
     paired = table_beside(profile, (3, *identities.match.shape[::-1]), np.float32).swapaxes(1, 2)
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
-        give_back_tables()
     why = doubts_of(identities.usual_px, paired[1], identities, comb)
     x, contrast = (np.where(why == Doubt.NONE, values, np.nan) for values in paired[:2])
-    give_back_tables()
     off = exchanged(x, contrast, identities.margin, comb)
     del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
@@ -117,7 +115,6 @@ def assign_detections(
     _reassign_hops(ridges, paired, why, comb)
     why[_alone_and_away(np.where(why == Doubt.NONE, paired[0], np.float32(np.nan)), comb)] = Doubt.ALONE
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
-    give_back_tables()
     off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
     del expected
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
@@ -127,7 +124,6 @@ def assign_detections(
     doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])
     withheld = table_beside(profile, unpaired.shape, np.float32, "F")
     withheld[:] = np.where(doubtful, paired[0], np.nan)
-    give_back_tables()
     found = paired
     found[:, doubtful] = np.nan
     expected = _expected(found[0], identities.rest_px)

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import NoRidgesError
+from vision.memory import in_two_threads
 from vision.numeric import (
     Bools,
     Floats,
     Ints,
     common_change,
-    in_two_threads,
     mad_sigma,
     nan_median,
     nearest,

@@ -17,19 +17,22 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
-from vision.memory import give_back, give_back_tables, some_rows, table_beside
+from vision.memory import (
+    give_back,
+    in_two_threads,
+    row_parts,
+    some_rows,
+    table_beside,
+)
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
-    ROWS_AT_ONCE,
     Bools,
     Floats,
     Floats32,
     Ints,
     Result,
     flat_ranges,
-    in_two_threads,
-    row_parts,
     spread_indices,
 )
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -537,13 +540,11 @@ def find_faint(profile: Floats32, comb: RidgeComb) -> Ridges:
 
 def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Result]:
     """Return the results of `work` for consecutive blocks of frames of a table (frame, ...), found in two
-    threads. The memory of a block in a temporary file is given back, and that of all tables now and then."""
+    threads. The memory of a block in a temporary file is given back."""
 
     def of_block(rows: slice) -> Result:
         result = work(rows)
         give_back(table[rows])
-        if not rows.stop % ROWS_AT_ONCE:
-            give_back_tables()
         return result
 
     return in_two_threads(of_block, row_parts(len(table), FRAMES_PER_BLOCK))

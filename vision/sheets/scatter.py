@@ -12,16 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import (
-    NORMAL_MEDIAN,
-    Bools,
-    Floats,
-    in_two_threads,
-    nan_median,
-    nan_quantile,
-    row_parts,
-    typical_median,
-)
+from vision.memory import in_two_threads, row_parts
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile, typical_median
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, QUARTER_PIXEL, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])

@@ -17,17 +17,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
-from vision.memory import give_back, give_back_tables, some_rows, table_beside
+from vision.memory import give_back, in_two_threads, row_parts, some_rows, table_beside
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
     Floats,
     Floats32,
     Ints,
-    in_two_threads,
     nan_median,
     nan_quantile,
-    row_parts,
     spread_indices,
     typical_median,
     typical_medians,
@@ -525,7 +523,6 @@ def _match_all(
         frame = np.flatnonzero(np.isfinite(x[:, n]))
         dark = comb.polarity == "dark"
         out[frame, n], err[frame, n] = match_sheet(profile, frame, x[frame, n], half, dark=dark)
-        give_back_tables()
 
     chosen = np.ones(x.shape[1], bool) if sheets is None else sheets
     in_two_threads(match, np.flatnonzero(chosen).tolist())

@@ -20,7 +20,7 @@ from vision.data import (
     record,
 )
 from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
-from vision.memory import words
+from vision.memory import row_parts
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -32,7 +32,6 @@ from vision.numeric import (
     median_step,
     nan_median,
     nan_quantile,
-    row_parts,
     typical_median,
     typical_where,
 )
@@ -81,6 +80,7 @@ from vision.sheets.subpixel import (
     position_noise,
 )
 from vision.video.reader import BETWEEN_FRAMES, LOSSY
+from vision.words import words
 
 LEAST_ERROR_PX = 1e-4
 

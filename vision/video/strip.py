@@ -16,17 +16,16 @@ import xarray as xr
 from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, strip_of
 from vision.errors import RANGE, InputError, check_kind, counted, reason_of
 from vision.files import Progress, prefetch
-from vision.memory import give_back, parts_in_turn, put_rows, some_rows, table_in_file
-from vision.numeric import (
-    Bools,
-    Floats,
-    Floats32,
-    Pixels,
-    Strings,
+from vision.memory import (
+    give_back,
     in_two_threads,
+    parts_in_turn,
+    put_rows,
     row_parts,
-    spread_indices,
+    some_rows,
+    table_in_file,
 )
+from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
 from vision.video.follow import Follow, followed
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
