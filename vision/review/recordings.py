@@ -21,7 +21,8 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import AGAIN, Stamp
 from vision.folder import RUN_JSON
-from vision.numeric import Floats, Floats32, Pixels, row_parts, spread_indices
+from vision.memory import row_parts
+from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, read_json
@@ -141,15 +142,19 @@ class Tiles:
         if wanted <= 0:
             return []
         frames, columns = self.diagram.frames, self.diagram.columns
-        level = np.empty((-(-frames // step), columns), np.float32)
-        block = max(1, (1 << 20) // (step * columns))  # 4 MB are read at a time
-        for rows in row_parts(len(level), block):
-            part = self.diagram.rows(rows.start * step, rows.stop * step)
-            level[rows] = _extremes(part, step, bright=self.bright)
-        kept = [self._grey(level)]
+        # 4 MB are read at a time, and whole groups of rows, so that the next level needs no other part
+        block = TILE_FACTOR * max(1, (1 << 20) // (TILE_FACTOR * step * columns))
+        parts: list[Floats32] = []
+        greys: list[Grey] = []
+        for rows in row_parts(-(-frames // step), block):
+            part = _extremes(self.diagram.rows(rows.start * step, rows.stop * step), step, bright=self.bright)
+            greys.append(grey_levels(part, self.low, self.high))
+            parts.append(_extremes(part, TILE_FACTOR, bright=self.bright))
+        kept = [np.concatenate(greys)]
+        level = np.concatenate(parts)
         while len(kept) < wanted:
+            kept.append(grey_levels(level, self.low, self.high))
             level = _extremes(level, TILE_FACTOR, bright=self.bright)
-            kept.append(self._grey(level))
         return kept
 
     def _grey(self, values: Floats32) -> Grey:

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import struct
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,10 +85,10 @@ class _Header:
             self.strf = data
 
 
-def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[int, int]], bool]:
-    """Read all chunks, and return header, frames (position, length) and whether the last frame is cut."""
-    header, at = _Header(), 0
-    frames: list[tuple[int, int]] = []
+def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, Ints, bool]:
+    """Read all chunks, and return header, frames (position, length), (k, 2), and whether the last is cut."""
+    header, at, is_cut = _Header(), 0, False
+    frames = array("q")  # a list of 100 000 pairs would take 12 MB
     while at + 8 <= size:
         file.seek(at)
         head = file.read(12)
@@ -96,9 +97,10 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
             at += 12
             continue
         if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
-            if at + 8 + length > size:
-                return header, frames, True
-            frames.append((at + 8, length))
+            is_cut = at + 8 + length > size
+            if is_cut:
+                break
+            frames.extend((at + 8, length))
         elif name[2:] == b"pc":
             advice = "export the video as grey"
             raise InputError(path, "one palette for all frames", "a palette change", advice)
@@ -108,7 +110,7 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
             file.seek(at + 8)
             header.add(name, file.read(min(length, 4096)))
         at += 8 + length + length % 2
-    return header, frames, False
+    return header, np.array(frames, np.int64).reshape(-1, 2), is_cut
 
 
 def _open_avi(path: Path) -> MappedReader | None:
@@ -132,7 +134,7 @@ def _open_avi(path: Path) -> MappedReader | None:
         return None
     bits, channels, name = _pixel_format(path, fourcc, stored)
     scale, rate, _, length = struct.unpack_from("<4I", header.strh, 20)
-    offsets, sizes = np.array(frames, np.int64).reshape(-1, 2).T
+    offsets, sizes = frames.T
     held = sizes[sizes > 0]  # 0 is a frame that the camera dropped
     if not held.size:
         advice = "the recording was cut short; copy it again"
