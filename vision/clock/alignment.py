@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
+from vision.memory import in_two_threads
 from vision.numeric import Floats, Ints, Rows, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
 from vision.signals import running_median
 
@@ -240,10 +241,12 @@ def _vote(trains: SlipTrains, settings: ClockSettings) -> CandidateClocks:
     """
     slips = np.arange(len(trains.video_s))
     parts = np.array_split(slips, -(-slips.size // settings.voting_slips))
-    votes = [
-        _vote_of_part(replace(trains, video_s=trains.video_s[part], error_s=trains.error_s[part]), settings)
-        for part in parts
-    ]
+
+    def vote(part: Ints) -> Floats:
+        some = replace(trains, video_s=trains.video_s[part], error_s=trains.error_s[part])
+        return _vote_of_part(some, settings)
+
+    votes = in_two_threads(vote, parts)
     middle, drift, centre, score = np.concatenate(votes, axis=1)
     best = np.argsort(-score, kind="stable")[: settings.candidates]
     return CandidateClocks(middle, drift, centre).take(best)
@@ -291,8 +294,8 @@ def _offset_scores(
     scaled: times of the camera slips at that drift, s.  low, width: start and width of the bins, s.
     """
     first, last = trains.force_s[[0, -1]]
-    offset = (trains.force_s[None, :] - scaled[:, None]).ravel()
-    votes = np.bincount(((offset - low) / width).astype(np.int64), minlength=bins)[:bins]
+    voted = ((trains.force_s - low) / width)[None, :] - (scaled / width)[:, None]
+    votes = np.bincount(voted.astype(np.int64).ravel(), minlength=bins)[:bins]
     votes = np.convolve(votes, np.ones(3, np.int64), "same")
 
     def number_below(offset_s: Floats) -> Ints:
