@@ -184,13 +184,12 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
         yield (
             "the sheets look alike and neither end of the comb is in view: displacements of the whole comb"
             f" may be wrong by multiples of the spacing ({found.pitch_px:.1f} px) after its large steps"
-            f" before frame{'s' * (len(steps) > 1)} {first_of(steps, 5)}: film an end of the comb, or"
-            " mark a sheet"
+            f" before {_frames(steps)}: film an end of the comb, or mark a sheet"
         )
     if unseen := found.unseen_jumps:
         yield (
-            f"the brightnesses along the comb moved on by sheets before frame{'s' * (len(unseen) > 1)}"
-            f" {first_of(unseen, 5)}, but the sheets seem to stay, and neither end of the comb is in view:"
+            f"the brightnesses along the comb moved on by sheets before {_frames(unseen)}, but the sheets"
+            " seem to stay, and neither end of the comb is in view:"
             " displacements of the whole comb may be wrong by multiples of the spacing"
             f" ({found.pitch_px:.1f} px) from there on: film an end of the comb, or mark a sheet"
         )
@@ -239,6 +238,11 @@ def _wrong_moments(tracks: xr.Dataset, found: TrackMetadata, tracking: TrackingS
         )
 
 
+def _frames(numbers: Sequence[int]) -> str:
+    """Return "frame 3", or "frames 3, 5"."""
+    return f"{'frame' if len(numbers) == 1 else 'frames'} {first_of(numbers, 5)}"
+
+
 def longest_stretches(table: pd.DataFrame, why: str) -> str:
     """Return the longest three stretches of a table of `vision.sheets.recovery` as text, "" without any.
 
@@ -251,7 +255,7 @@ def longest_stretches(table: pd.DataFrame, why: str) -> str:
         f" ({rows[why].iloc[0]})"
         for rows in longest[:3]
     ]
-    return "; ".join(texts) + " …" * (len(alike) > 3)
+    return "; ".join(texts) + (" …" if len(alike) > 3 else "")
 
 
 def _sheet_range(rows: pd.DataFrame) -> str:
@@ -575,16 +579,15 @@ def _side_warnings(
 def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
     """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
     if found.ridges_beyond and found.sheets_how == "found":
+        where = " on both sides" if found.ridges_beyond > 1 else ""
         yield (
-            "a ridge beyond the outermost sheet is left out"
-            + " on both sides" * (found.ridges_beyond > 1)
-            + ": if it is a sheet, the axis and n change: look at overview.png, and give the number of sheets"
-            " (`sheets`), or `frames` in which all of them are apart"
+            f"a ridge beyond the outermost sheet is left out{where}: if it is a sheet, the axis and n change:"
+            " look at overview.png, and give the number of sheets (`sheets`), or `frames` in which all of"
+            " them are apart"
         )
     elif found.ridges_beyond:
-        beyond, s = counted(found.ridges_beyond, "more ridge"), "s" * (found.ridges_beyond == 1)
         yield (
-            f"{beyond} continue{s} the comb of the {found.sheets} sheets or lie{s} between them, and would"
+            f"beyond the {found.sheets} sheets of the comb or between them, {found.ridges_beyond} more would"
             f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     if found.ridges_between > settings.seen_between and found.sheets_how == "found":

@@ -446,7 +446,7 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
         if trend.claimed:
             ends = known[predictor].to_numpy(float)[[0, -1]]
             line, ink = trend.intercept + trend.slope * ends, MODEL if by_sample else of_quantity
-            label = f"{symbol}, trend" * by_sample
+            label = f"{symbol}, trend" if by_sample else ""
             series.append(Series(label=label, x=ends, y=line, ink=ink, dashed=k == 1, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
@@ -466,8 +466,9 @@ def _lines_of(found: Comparison, trends: Sequence[Trend]) -> str:
     if not (drawn := [trend for trend in trends if trend.claimed]):
         return ""
     several = len({test.sample_name for test in found.tests}) > 1
-    free = ", with the other predictor free" * any(np.isfinite(trend.partial_slope) for trend in drawn)
-    return f" Line: weighted fit to the tests {'of all samples together' if several else 'shown'}{free}."
+    tests = "of all samples together" if several else "shown"
+    both = any(np.isfinite(trend.partial_slope) for trend in drawn)
+    return f" Line: weighted fit to the tests {tests}{', with the other predictor free' if both else ''}."
 
 
 def _trend_of(found: Comparison, quantity: str, predictor: str) -> Trend:
