@@ -400,8 +400,8 @@ def _quantiser_step(stream: av.VideoStream, facts: Facts) -> float:
     slices are those of 8 bits.
     """
     codec, levels = facts.codec, _slice_levels(stream) if facts.codec == "hevc" else []
-    if levels:  # blocks that hardly change have finer steps than their slice: half of it with x265
-        return float(2.0 ** (facts.depth_bits - 9 + (np.median(levels) - 4) / 6))
+    if levels:  # blocks have finer steps than their slice with x265, those that hardly change half of it
+        return float(2.0 ** (facts.depth_bits - 8.5 + (np.median(levels) - 4) / 6))
     if codec != "h264" and codec not in _STEPS_STATED:
         return 0.0
     steps = []
