@@ -51,8 +51,9 @@ _MOST_HELD = 32  # frames in memory at once; H.264 and HEVC have at most 16 B-fr
 _FRAMES_WITH_STEPS = 12  # the quantiser of the first predicted frames is that of the film to 2 of 51 levels
 EXPORT_QUANTISERS = {"export_side_data": "venc_params"}
 """Option of FFmpeg's decoders for `block_quantisers`."""
-_STEPS_STATED = {"mpeg1video", "mpeg2video", "mpeg4", "h263", "flv1", "wmv1", "wmv2"}
-_STEPS_STATED |= {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3"}  # of these FFmpeg reports the step itself
+_H263 = {"mpeg4", "h263", "flv1", "wmv1", "wmv2", "msmpeg4v1", "msmpeg4v2", "msmpeg4v3"}
+_STEPS_STATED = _H263 | {"mpeg1video", "mpeg2video"}  # of these FFmpeg reports the step itself
+_H263_ROUNDS = 1.4  # steps: its quantiser also leaves changes beyond a step uncoded
 _FIRST_LEVEL = re.compile(r" init_qp_minus26 .*= (-?\d+)")
 _SLICE = re.compile(r" (slice_type|slice_qp_delta) .*= (-?\d+)")
 _PREDICTED = "1"  # type of a slice that is predicted from frames before
@@ -410,7 +411,7 @@ def _quantiser_step(stream: av.VideoStream, facts: Facts) -> float:
         if found is not None:
             level = float(np.mean(found[1]))
             steps.append(2.0 ** ((level - 4) / 6) if codec == "h264" else level)
-    return float(np.median(steps)) if steps else 0.0
+    return float(np.median(steps)) * (_H263_ROUNDS if codec in _H263 else 1.0) if steps else 0.0
 
 
 def _slice_levels(stream: av.VideoStream) -> list[float]:
