@@ -61,7 +61,7 @@ class CheckSettings(Tunable):
     is silent about reflections that double the errors; smaller warns where they matter little."""
     few_measured: float = 0.5
     """Share of the positions that are measured below which a warning doubts that there is a comb of sheets.
-    Films of landscapes and faces reach 0.02 to 0.49; larger doubts combs that something hides for long."""
+    Films of streets, animals and faces reach 0.49; larger doubts combs that something hides for long."""
     changed_px: float = 0.1
     """Error of most positions of a frame, px, from which a warning counts the frame, where ridges look unlike
     usual.  Smaller names errors well below a sheet's sweep; larger is silent where the light moves from one

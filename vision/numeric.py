@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +15,6 @@ from vision.memory import in_two_threads, row_parts
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
-from vision.memory import (
-    give_back,
-    in_two_threads,
-    row_parts,
-    some_rows,
-    table_beside,
-)
+from vision.memory import Result, give_back, in_two_threads, row_parts, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
@@ -31,7 +25,6 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
-    Result,
     flat_ranges,
     spread_indices,
 )
