@@ -15,7 +15,7 @@ import tifffile
 from tests.scenes.films import comb, states, whole, write_avi, write_encoded
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
-from vision.video import open_video, read_timestamps, strip_profile
+from vision.video import encoded, open_video, read_timestamps, strip_profile
 
 
 def pages(path, frames, **more):
@@ -223,6 +223,37 @@ def test_a_file_that_grows_is_said(tmp_path):
     with file.open("ab") as out:
         out.write(b"more")
     assert "grew" in video.changes[0]
+
+
+@pytest.mark.parametrize("codec", ["mjpeg", "ffv1"])
+def test_an_avi_that_grows_while_it_is_read_keeps_its_numbers(codec, tmp_path, monkeypatch):
+    """FFmpeg finds the last packet cut off, and goes on in its middle. A failure means that all later frames
+    have the numbers of earlier ones, and are called ok."""
+    film = tmp_path / "a.avi"
+    kind = "yuvj420p" if codec == "mjpeg" else "gray"
+    write_encoded(film, comb(200, 12, 48).astype(np.uint8), codec=codec, pix_fmt=kind, source="gray")
+    expected, data = whole(open_video(film)), film.read_bytes()
+    packets = encoded._video_packets
+    for cut in range(len(data) // 3, len(data) // 3 + 70, 7):
+        film.write_bytes(data[:cut])
+        held = sum(len(block.status) for block in open_video(film).blocks())
+        video = open_video(film)
+
+        def growing(stream, *size, held=held, cut=cut):
+            for count, packet in enumerate(packets(stream, *size), 1):
+                yield packet
+                if count == held:
+                    with film.open("ab") as out:
+                        out.write(data[cut:])
+
+        monkeypatch.setattr(encoded, "_video_packets", growing)
+        blocks = list(video.blocks())
+        monkeypatch.undo()
+        status = np.concatenate([block.status for block in blocks])
+        pixels = np.concatenate([block.pixels for block in blocks])
+        assert 0 < len(status) <= held + 1
+        ok = status == "ok"
+        assert np.array_equal(pixels[ok], expected[: len(pixels)][ok])
 
 
 def test_a_packed_film_that_shrinks_is_one_line(tmp_path):

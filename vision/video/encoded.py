@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -75,6 +76,7 @@ class EncodedReader:
     # of an AVI, which has no times and skips the numbers of frames that the camera dropped; None for others
     fixed_rate: Fraction | None
     most_frames: int  # more cannot be in the file
+    size: int  # of the file when it was opened; what is written later is not read
     shift: int = 0  # bits by which FFmpeg widens the pixels of a packed cine, and which are taken back
 
     @classmethod
@@ -111,6 +113,7 @@ class EncodedReader:
                 fixed_rate=stream.average_rate if kind == "avi" else None,
                 # A dropped frame takes 8 bytes.
                 most_frames=max(facts.frames or 0, size // 8),
+                size=size,
             )
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
@@ -155,7 +158,7 @@ class EncodedReader:
         """Yield every frame number once, in order."""
         number = 0
         with _video_stream(self.path) as stream:
-            for pts, decoded in _undamaged(_decoded(stream)):
+            for pts, decoded in _undamaged(_decoded(stream, self.size)):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Frame(None, "lost")
                     number += 1
@@ -204,7 +207,7 @@ class MjpegReader(EncodedReader):
     def _jpegs(self, stream: av.VideoStream) -> Iterator[tuple[bytes, float | None]]:
         """Yield (JPEG, its own time) for every frame number; no bytes for a frame that the camera dropped."""
         number = 0
-        for packet in _video_packets(stream):
+        for packet in _video_packets(stream, self.size):
             if packet is None:
                 return
             for _ in range(self._skipped(packet.pts, number, stream)):
@@ -462,8 +465,12 @@ def _is_uneven(stream: av.VideoStream) -> bool:
     return bool((np.abs(interval - usual) > max(1.5, 0.1 * usual)).any())
 
 
-def _decoded(stream: av.VideoStream) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
+def _decoded(
+    stream: av.VideoStream, size: float = math.inf
+) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
     """Yield (pts, frame) in display order; the frame is None if the decoder never returned it.
+
+    size: see `_video_packets`.
 
     A packet failed to decode if a later frame was returned before its own, for every codec and number of
     threads.
@@ -471,7 +478,7 @@ def _decoded(stream: av.VideoStream) -> Iterator[tuple[int | None, av.VideoFrame
     waiting: list[int] = []
     # AVI has only times of decoding, which are wrong if the order of display differs
     timed = stream.container.format.name != "avi" or not _reorders(stream)
-    for packet in _video_packets(stream):
+    for packet in _video_packets(stream, size):
         if timed and packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
         for frame in _frames_of(packet, stream):
@@ -511,11 +518,22 @@ def _reorders(stream: av.VideoStream) -> bool:
     return bool(stream.codec_context.codec.properties & 8)  # AV_CODEC_PROP_REORDER
 
 
-def _video_packets(stream: av.VideoStream) -> Iterator[av.Packet[av.VideoStream] | None]:
-    """Yield packets until the file ends or breaks off, then None, which flushes the decoder."""
+def _video_packets(
+    stream: av.VideoStream, size: float = math.inf
+) -> Iterator[av.Packet[av.VideoStream] | None]:
+    """Yield packets until the file ends or breaks off, then None, which flushes the decoder.
+
+    size: bytes of the file; packets that begin further on are left out. Where a file has grown since its last
+    packet was found to be cut off, FFmpeg goes on in the middle of that packet, and an AVI has no times that
+    tell how many frames it misses.
+    """
     container = cast("av.container.InputContainer", stream.container)
     with contextlib.suppress(av.error.FFmpegError, OSError):
-        yield from (packet for packet in container.demux(stream) if packet.size)
+        for packet in container.demux(stream):
+            if (packet.pos or 0) >= size:
+                break
+            if packet.size:
+                yield packet
     yield None
 
 
