@@ -365,7 +365,8 @@ def beside(marked: Bools) -> Bools:
 
 def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
     """Return the unbroken stretches of True in each column of (frame, sheet): sheet, first row, end row."""
-    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
-    sheet, first = np.nonzero((edge == 1).T)
+    some = np.flatnonzero(marked.any(axis=0))  # often few columns have any
+    edge = np.diff(np.pad(marked[:, some].astype(np.int8), ((1, 1), (0, 0))), axis=0)
+    column, first = np.nonzero((edge == 1).T)
     _, stop = np.nonzero((edge == -1).T)
-    return sheet, first, stop
+    return some[column], first, stop

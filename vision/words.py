@@ -80,9 +80,11 @@ def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
 def word_codes(text: xr.DataArray, listed: Sequence[str]) -> Codes:
     """Return the number of each word of a table (rows, …) in a list; 0 for words that are not in it."""
     known = list(listed)
-    parts = [number_words(text[rows].values, known) for rows in row_parts(len(text))]
-    codes = np.concatenate([np.empty((0, *text.shape[1:]), np.uint8), *parts])
-    return np.where(codes < len(listed), codes, np.uint8(0))
+    codes = np.empty(text.shape, np.uint8)
+    for rows in row_parts(len(text)):
+        part = number_words(text[rows].values, known)
+        codes[rows] = np.where(part < len(listed), part, np.uint8(0))
+    return codes
 
 
 def number_words(text: NDArray[Any], listed: list[Any]) -> Codes:

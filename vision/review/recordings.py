@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -32,7 +32,9 @@ from vision.sheets.settings import TrackingSettings
 from vision.signals import minmax_decimate
 from vision.spacetime import grey_levels, grey_limits
 from vision.video import Video
-from vision.video.encoded import EncodedReader
+
+if TYPE_CHECKING:
+    from vision.video.encoded import EncodedReader
 
 # --- the folder ---------------------------------------------------------------------------------------------
 
@@ -212,8 +214,8 @@ class Film:
         time_s: on the camera's clock; it is used only if it comes from the file's own time stamps.
         """
         with self._lock:
-            reader = self._video.reader
-            if isinstance(reader, EncodedReader):
+            reader: Any = self._video.reader
+            if hasattr(reader, "from_key_frame"):  # an `EncodedReader`; importing it would load FFmpeg
                 found = self._near(reader, self._time_in_file(reader, number, time_s))
                 if found is not None:
                     return np.rot90(found, k=-(self._video.turned_deg // 90))

@@ -15,6 +15,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import AGAIN, reading
 from vision.folder import claim, plain, whole_file
+from vision.memory import give_back_freed
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import SAME_RIDGE_PX, Effects, apply, median_positions, read_positions
@@ -101,7 +102,9 @@ class Session:
         self.diagram = Diagram(self.folder / "kymograph.tif", first, tracking)
         try:
             self.positions = read_positions(self.folder / "tracks.nc")
+            give_back_freed()
             self.tiles = Tiles(self.diagram, bright=ridges == "bright")
+            give_back_freed()
             if len(self.positions.frame) != self.diagram.frames:
                 frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
                 raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)

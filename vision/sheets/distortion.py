@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import cv2
 import numpy as np
 
-from vision.memory import in_two_threads, row_parts, some_rows, table_beside
+from vision.memory import give_back, in_two_threads, row_parts, some_rows, table_beside
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
@@ -550,6 +550,8 @@ def _error_over(
             total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
             ratio[k], weights[k] = np.nan, weight
             np.divide(move, change, where=known, out=ratio[k])
+            give_back(ratio[k])
+            give_back(weights[k])
 
     in_two_threads(compare, row_parts(inner, -(-inner // 2) or 1))
     if not (weights > 0).any():
