@@ -145,7 +145,7 @@ def give_back_freed() -> None:
     The C library is not asked where it is not GNU's. It takes a few milliseconds.
     """
     if _TemporaryFile.in_use:
-        gc.collect(1)
+        gc.collect()
         _give_back_tables()
     if library := c_library():
         with suppress(AttributeError):

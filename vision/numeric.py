@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vision.memory import in_two_threads, row_parts
+from vision.memory import give_back, in_two_threads, row_parts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -143,7 +143,9 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
 
 def typical(values: NDArray[np.floating]) -> float:
     """Return the median of all values of (rows, …) in `typical_rows`, ignoring NaN."""
-    return float(nan_median(values[typical_rows(len(values))].ravel()))
+    found = values[typical_rows(len(values))]
+    give_back(values)
+    return float(nan_median(found.ravel()))
 
 
 def typical_median(values: NDArray[np.floating]) -> Floats:

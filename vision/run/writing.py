@@ -85,6 +85,7 @@ def write_run(
     started = time.perf_counter()
     origin = replace(origin, parameters=origin.parameters | _found_pixel_size(analysis, origin))
     seconds = dict(analysis.seconds)
+    give_back_freed()
     with run_folder(target, overwrite=overwrite) as folder:
         failures = dict(analysis.failures)
         with _largest_meanwhile(analysis, folder):
