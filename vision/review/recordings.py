@@ -143,17 +143,16 @@ class Tiles:
         step, wanted = TILE_FACTOR**FIRST_KEPT, self.levels - FIRST_KEPT
         if wanted <= 0:
             return []
-        frames, columns = self.diagram.frames, self.diagram.columns
+        columns, groups = self.diagram.columns, -(-self.diagram.frames // step)
         # 4 MB are read at a time, and whole groups of rows, so that the next level needs no other part
         block = TILE_FACTOR * max(1, (1 << 20) // (TILE_FACTOR * step * columns))
-        parts: list[Floats32] = []
-        greys: list[Grey] = []
-        for rows in row_parts(-(-frames // step), block):
+        kept = [np.empty((groups, columns), np.uint8)]
+        level = np.empty((-(-groups // TILE_FACTOR), columns), np.float32)
+        for rows in row_parts(groups, block):
             part = _extremes(self.diagram.rows(rows.start * step, rows.stop * step), step, bright=self.bright)
-            greys.append(grey_levels(part, self.low, self.high))
-            parts.append(_extremes(part, TILE_FACTOR, bright=self.bright))
-        kept = [np.concatenate(greys)]
-        level = np.concatenate(parts)
+            kept[0][rows] = grey_levels(part, self.low, self.high)
+            next_rows = slice(rows.start // TILE_FACTOR, -(-rows.stop // TILE_FACTOR))
+            level[next_rows] = _extremes(part, TILE_FACTOR, bright=self.bright)
         while len(kept) < wanted:
             kept.append(grey_levels(level, self.low, self.high))
             level = _extremes(level, TILE_FACTOR, bright=self.bright)

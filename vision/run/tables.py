@@ -33,7 +33,7 @@ from vision.video.stacks import check_tiff
 from vision.words import number_words
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
-ROWS_PER_CHUNK = 1 << 16  # of the table of positions that are in memory
+ROWS_PER_CHUNK = 1 << 15  # of the table of positions that are in memory
 ROWS = 1024  # written or read at once, so that memory does not grow with the recording
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
 
