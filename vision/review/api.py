@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
 from vision.folder import plain, whole_file
+from vision.memory import give_back_freed
 from vision.review.recordings import TILE_COLUMNS, TILE_FACTOR, TILE_ROWS, Grey
 from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
@@ -62,6 +63,7 @@ def first_answers(session: Session) -> dict[str, bytes]:
             addresses += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
     found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
     app = session_app(session, lambda: None)
+    give_back_freed()
 
     async def ask() -> None:
         for address in addresses:

@@ -35,6 +35,7 @@ from vision.folder import (
     whole_file,
     write_json,
 )
+from vision.memory import row_parts
 from vision.numeric import number
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.provenance import Parameter, describe_input
@@ -344,7 +345,7 @@ def read_tracks(path: Path, *, without: Sequence[str] = (), single: Sequence[str
             # x_um would stay what it was when the pixel size is changed
             others = [*words, "x_um", "index", *without]
             kept = data.drop_vars(others, errors="ignore")
-            found = {name: kept[name].astype(np.float32) for name in single if name in kept}
+            found = {name: _in_single(kept[name]) for name in single if name in kept}
             tracks = kept.assign(found).load().assign(words)
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
         try:
@@ -358,6 +359,14 @@ def read_tracks(path: Path, *, without: Sequence[str] = (), single: Sequence[str
         if odd:
             raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
+
+
+def _in_single(values: xr.DataArray) -> xr.Variable:
+    """Return a variable in single precision, which is read a part at a time."""
+    found = np.empty(values.shape, np.float32)
+    for rows in row_parts(len(values), 1 << 14):
+        found[rows] = values[rows].values
+    return xr.Variable(values.dims, found, values.attrs)
 
 
 def _words(characters: xr.DataArray) -> xr.Variable:

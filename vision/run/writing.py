@@ -303,7 +303,8 @@ def _write_pictures(
     if analysis.tracks is None:
         pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
     else:
-        pictures = {"overview.png": overview(figures), "kymograph.png": kymograph(figures)}
+        # the larger one last, so that it is not still held to be compressed while the other is drawn
+        pictures = {"kymograph.png": kymograph(figures), "overview.png": overview(figures)}
     for file, figure in pictures.items():
         if figure is not None:
             written.append(pool.submit(drawing.write_png, drawing.render(figure), folder / file))
