@@ -142,7 +142,7 @@ def give_back_freed() -> None:
     C library keeps between what is in use.
 
     If there are such tables, Python first frees what refers to itself, such as drawings with their pixels.
-    The C library is not asked where it is not GNU's. It takes a few milliseconds.
+    The C library is not asked where it is not GNU's. It takes some milliseconds.
     """
     if _TemporaryFile.in_use:
         gc.collect()
