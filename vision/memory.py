@@ -128,11 +128,11 @@ def _file_of(values: NDArray[Any]) -> _TemporaryFile | None:
     return owner if isinstance(owner, _TemporaryFile) else None
 
 
-def _give_back_tables() -> None:
-    """Give the memory of all tables in temporary files back to the system, unless they are small."""
+def _give_back_tables(*, small: bool = False) -> None:
+    """Give the memory of all tables in temporary files back to the system; small ones if asked."""
     if _TemporaryFile.in_use and hasattr(mmap, "MADV_DONTNEED"):
         files = [file for reference in _TemporaryFile.in_use.valuerefs() if (file := reference())]
-        if sum(map(len, files)) > _KEPT_BYTES:
+        if small or sum(map(len, files)) > _KEPT_BYTES:
             for file in files:
                 file.madvise(mmap.MADV_DONTNEED)
 
@@ -146,7 +146,7 @@ def give_back_freed() -> None:
     """
     if _TemporaryFile.in_use:
         gc.collect()
-        _give_back_tables()
+        _give_back_tables(small=True)
     if library := c_library():
         with suppress(AttributeError):
             library.malloc_trim(0)
