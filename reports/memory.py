@@ -50,8 +50,11 @@ def peak():  # of this program alone; getrusage counts what its parent had as it
     return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) << 10
 """
 COMMAND = """
-from vision.command.main import run
-print(json.dumps([run(sys.argv[1:]), peak()]))
+from vision.command.main import main
+try:
+    main(sys.argv[1:])
+except SystemExit as ended:
+    print(json.dumps([ended.code, peak()]))
 """
 CHILD = """
 from vision.video import VideoSettings, open_video, strip_profile

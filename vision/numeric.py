@@ -142,10 +142,12 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
 
 
 def typical(values: NDArray[np.floating]) -> float:
-    """Return the median of all values of (rows, …) in `typical_rows`, ignoring NaN."""
-    found = values[typical_rows(len(values))]
-    give_back(values)
-    return float(nan_median(found.ravel()))
+    """Return the median of all values of (rows, columns) in `typical_rows`, ignoring NaN."""
+    rows, found = typical_rows(len(values)), []
+    for column in values.T:  # one at a time is in memory, of a table in a file
+        found.append(column[rows])
+        give_back(column)
+    return float(nan_median(np.array(found).ravel()))
 
 
 def typical_median(values: NDArray[np.floating]) -> Floats:
