@@ -142,9 +142,9 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
 
 
 def typical(values: NDArray[np.floating]) -> float:
-    """Return the median of all values of (rows, columns) in `typical_rows`, ignoring NaN."""
+    """Return the median of all values of (rows,) or (rows, columns) in `typical_rows`, ignoring NaN."""
     rows, found = typical_rows(len(values)), []
-    for column in values.T:  # one at a time is in memory, of a table in a file
+    for column in np.atleast_2d(values.T):  # one at a time is in memory, of a table in a file
         found.append(column[rows])
         give_back(column)
     return float(nan_median(np.array(found).ravel()))
