@@ -158,11 +158,6 @@ class Tiles:
             level = _extremes(level, TILE_FACTOR, bright=self.bright)
         return kept
 
-    def _grey(self, values: Floats32) -> Grey:
-        """Convert to 8 bits, with lost frames mid-grey; in parts, since the conversion needs more memory."""
-        parts = row_parts(len(values), TILE_ROWS)
-        return np.concatenate([grey_levels(values[rows], self.low, self.high) for rows in parts])
-
     def part(self, level: int, x: int, y: int) -> Grey:
         """Return one tile in 8 bits; those at the right and lower edge are smaller.
 
@@ -177,7 +172,8 @@ class Tiles:
         if level >= FIRST_KEPT:
             return self._kept[level - FIRST_KEPT][y * rows : (y + 1) * rows, across]
         part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
-        return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))
+        shown = part if level == 0 else _extremes(part, step, bright=self.bright)
+        return grey_levels(shown, self.low, self.high)
 
 
 def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:

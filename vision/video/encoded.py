@@ -75,7 +75,6 @@ class EncodedReader:
     dtype: np.dtype[np.generic]  # of the decoded pixels
     # of an AVI, which has no times and skips the numbers of frames that the camera dropped; None for others
     fixed_rate: Fraction | None
-    most_frames: int  # more cannot be in the file
     size: int  # of the file when it was opened; what is written later is not read
     shift: int = 0  # bits by which FFmpeg widens the pixels of a packed cine, and which are taken back
 
@@ -111,8 +110,6 @@ class EncodedReader:
                 facts=facts,
                 dtype=grey_plane(first).dtype.newbyteorder("="),
                 fixed_rate=stream.average_rate if kind == "avi" else None,
-                # A dropped frame takes 8 bytes.
-                most_frames=max(facts.frames or 0, size // 8),
                 size=size,
             )
 
@@ -179,7 +176,8 @@ class EncodedReader:
         if self.fixed_rate is None or pts is None or stream.time_base is None:
             return 0
         place = round(pts * stream.time_base * self.fixed_rate)
-        return max(0, place - number) if place < self.most_frames else 0
+        most = max(self.facts.frames or 0, self.size // 8)  # a dropped frame takes 8 bytes
+        return max(0, place - number) if place < most else 0
 
     def _checked(self, pixels: Pixels) -> Pixels:
         if pixels.shape != self.facts.shape:
