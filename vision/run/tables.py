@@ -5,6 +5,7 @@ The TIFFs open in Fiji with µm and s per pixel; those of a run are read back.
 
 from __future__ import annotations
 
+import io
 import json
 import threading
 from collections.abc import Iterator, Mapping
@@ -109,8 +110,9 @@ def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
 def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
     """Write netCDF-4 with CF units and long names; x_um only if the pixel size is known; flags as characters.
 
-    `constant_error_px`, also an attribute of x_px (rms of the sheets), is the error that every frame has. The
-    file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
+    `constant_error_px`, also an attribute of x_px (rms of the sheets), is the error that every frame has.
+
+    Raises: OSError if the disk is full.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
     data["frame"].attrs["long_name"] = "frame number"
@@ -137,7 +139,27 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
             encoding[str(name)] = packed | {"char_dim_name": f"{name}_length"}
             attrs = variable.attrs | {"_Encoding": "utf-8"}
             data[name] = (variable.dims, _as_bytes(variable), attrs)
-    path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
+    with _FileForHDF5(path, "w+b") as file:
+        try:
+            data.to_netcdf(file, engine="h5netcdf", encoding=encoding)
+        finally:
+            if file.error is not None:
+                raise file.error
+
+
+class _FileForHDF5(io.FileIO):
+    """A file that keeps its first failure to write: HDF5 would crash the process if it were raised."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data)
+        try:
+            while left and self.error is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.error = error
+        return len(data)
 
 
 def _as_bytes(text: xr.Variable) -> NDArray[np.bytes_]:

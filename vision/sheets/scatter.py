@@ -2,7 +2,7 @@
 
 `BetweenSlips` are positions without slips. `spatial_scatter` measures errors that persist from frame to
 frame, `shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out;
-`left_behind` is what a codec does not code, and positions do not show.
+`raise_left_behind` adds what a codec does not code, and positions do not show.
 """
 
 from __future__ import annotations
@@ -204,8 +204,8 @@ def shared_error(positions: BetweenSlips) -> float:
     return own * float(np.sqrt(2 * max(0.0, ratio**2 - 1)))
 
 
-def left_behind(x_px: Floats, step_px: Floats, settings: TrackingSettings) -> Floats:
-    """Return by how far a codec that predicts frames from others leaves ridges behind, px, (frame, N).
+def raise_left_behind(err_px: Floats, x_px: Floats, step_px: Floats, settings: TrackingSettings) -> None:
+    """Raise errors (frame, N), in place, to how far a codec that predicts frames leaves ridges behind.
 
     It codes no change of a block below a share of its quantiser's step. A ridge that creeps or vibrates so
     far stays where it was drawn last, which no scatter shows; further than quarter pixels it is drawn where
@@ -216,9 +216,11 @@ def left_behind(x_px: Floats, step_px: Floats, settings: TrackingSettings) -> Fl
     pixels by one step of the quantiser, (N,).
     """
     least, most, share = settings.left_behind
-    moved = np.nan_to_num(np.abs(np.diff(x_px, axis=0, prepend=x_px[:1])))
-    never = np.fmin(least * step_px, QUARTER_PIXEL)
-    return np.asarray(np.clip(share * moved, never, most * step_px), np.float64)
+    np.fmax(err_px, np.fmin(least * step_px, QUARTER_PIXEL), out=err_px)
+    for rows in row_parts(len(x_px) - 1):
+        moved = np.abs(np.diff(x_px[rows.start : rows.stop + 1], axis=0))
+        later = err_px[rows.start + 1 : rows.stop + 1]
+        np.fmax(later, np.fmin(share * moved, most * step_px), out=later)
 
 
 def _motion(second: Floats) -> tuple[Floats, list[Floats]]:

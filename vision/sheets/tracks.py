@@ -66,7 +66,7 @@ from vision.sheets.ridges import (
     frames_with_values,
     no_ridges,
 )
-from vision.sheets.scatter import BetweenSlips, left_behind, noise_excess, shared_error, spatial_scatter
+from vision.sheets.scatter import BetweenSlips, noise_excess, raise_left_behind, shared_error, spatial_scatter
 from vision.sheets.settings import DEFAULT, QUARTER_PIXEL, TrackingSettings
 from vision.sheets.subpixel import (
     WHOLE_LEVELS,
@@ -494,8 +494,8 @@ def _errors(
     of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
     adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, or
     nothing changes, such a codec is assumed to err by a rounding to quarter pixels. What its quantiser leaves
-    behind is the least error (`left_behind`), and limits what of the scatter is the codec's. Repeated frames
-    are left out, as they would hide scatter. The errors of the fit are changed in place.
+    behind is the least error (`raise_left_behind`), and limits what of the scatter is the codec's. Repeated
+    frames are left out, as they would hide scatter. The errors of the fit are changed in place.
     """
     new = _unrepeated(fitted.x_px, frozen)
     between_frames = facts.codec in BETWEEN_FRAMES
@@ -520,7 +520,7 @@ def _errors(
         measured = np.fmin(measured, np.hypot(predicted, settings.left_behind[1] * step_px))
     err *= np.nan_to_num(measured / predicted, nan=1.0)
     if facts.quantiser_step:
-        np.fmax(err, left_behind(new, step_px, settings), out=err)
+        raise_left_behind(err, new, step_px, settings)
     return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted, lasting)
 
 
