@@ -16,7 +16,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import av
@@ -33,14 +33,19 @@ from vision.video import VideoSettings
 ROWS, COLUMNS = 800, 1280
 STRIP = (360, 440)
 GOP = 24  # frames that are encoded; longer films repeat them
-WHOLE = (25_000, 100_000)  # frames of 600 x 24 for the whole command
-RUNS = {
-    "`--no-report`": (WHOLE, ["--no-report"]),
-    "with the report": (WHOLE, []),
-    "`--strips 4`": (WHOLE[:1], ["--strips", "4"]),
-    "`--force`": (WHOLE, ["--force", "FORCE", "--d0", "13", "--offset", "0", "--pixel-size", "10"]),
-}
-"""Options of the whole command, and the numbers of frames for which they are measured."""
+WHOLE = (25_000, 100_000)  # frames for the whole command
+SHEETS, WIDTH, HEIGHT = 24, 600, 24  # of these films
+RUNS: dict[str, tuple[str, tuple[int, ...], list[str]]] = {
+    "raw, `--no-report`": ("a.avi", WHOLE, ["--no-report"]),
+    "raw, with the report": ("a.avi", WHOLE, []),
+    "raw, `--strips 4`": ("a.avi", WHOLE[:1], ["--strips", "4"]),
+    "raw, `--force`": (
+        "a.avi", WHOLE, ["--force", "FORCE", "--d0", "13", "--offset", "0", "--pixel-size", "10"]
+    ),
+    "MJPEG, with the report": ("m.avi", WHOLE[1:], []),
+    "H.264, with the report": ("h.mkv", WHOLE[1:], []),
+}  # fmt: skip
+"""File, numbers of frames, and options of the whole command."""
 MIB = 1 << 20
 
 PEAK = """
@@ -72,18 +77,20 @@ def pictures() -> Pixels:
     return np.ascontiguousarray(np.repeat(profile, ROWS, axis=1))
 
 
-def raw_avi(path: Path, frames: int, shown: Pixels, *, repeated: bool = False) -> None:
-    """Write a sparse file: the first frames, and only the chunk headers of the others unless repeated."""
-    rows, columns = shown.shape[1:]
+def raw_avi(path: Path, frames: int, shown: Iterable[Pixels]) -> None:
+    """Write a sparse file: the first frames as they are shown, and only the chunk headers of the others."""
+    shown = iter(shown)
+    first = next(shown)
+    rows, columns = first.shape
     head = avi_header(width=columns, height=rows, bits=8, fourcc=b"Y800", frames=frames)
     size = rows * columns
     with path.open("wb") as out:
         out.write(b"RIFF" + struct.pack("<I", 0) + b"AVI " + head + b"LIST" + struct.pack("<I", 0) + b"movi")
         start = out.tell()
+        stored = (picture.tobytes() for picture in itertools.chain([first], shown))
         for n in range(frames):
             out.seek(start + n * (size + 8))
-            stored = shown[n % len(shown)].tobytes() if repeated or n < len(shown) else b""
-            out.write(b"00dc" + struct.pack("<I", size) + stored)
+            out.write(b"00dc" + struct.pack("<I", size) + next(stored, b""))
         out.truncate(start + frames * (size + 8))
 
 
@@ -213,25 +220,49 @@ def force(path: Path, frames: int) -> None:
     np.savetxt(path, table, fmt="%.5f", delimiter="\t", header=head, comments="")
 
 
+def noisy(frames: int) -> Iterator[Pixels]:
+    """Yield frames of sheets that slip every 20 frames, each with noise of its own, as a camera's have."""
+    clean = frames_of(positions(frames=60, sheets=SHEETS), width_px=WIDTH, rows=1, noise=0).astype(np.int16)
+    noise = np.random.default_rng(1).normal(0, 1.5, 1 << 25).round().astype(np.int16)
+    for n in range(frames):
+        start = 10_007 * n % (noise.size - HEIGHT * WIDTH)  # another one for each frame
+        of_frame = noise[start : start + HEIGHT * WIDTH].reshape(HEIGHT, WIDTH)
+        yield (clean[n % len(clean)] + of_frame).clip(0, 255).astype(np.uint8)
+
+
+def film_of(path: Path, frames: int) -> None:
+    """Write such a film, raw or encoded, as the file's name says."""
+    if path.name == "a.avi":
+        raw_avi(path, frames, noisy(frames))
+        return
+    codec, form = ("mjpeg", "yuvj420p") if path.suffix == ".avi" else ("libx264", "yuv420p")
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream(codec, rate=100, options={"preset": "ultrafast"} if form == "yuv420p" else {})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, form
+        for picture in noisy(frames):
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")))
+        out.mux(stream.encode())
+
+
 def whole(folder: Path) -> list[str]:
     """Return the peak memory of the whole command with each of the options, imports included."""
-    rows = []
-    moving = frames_of(positions(frames=60, sheets=24), width_px=600, rows=24)
-    film, load = folder / "a.avi", folder / "force.txt"
-    for name, (lengths, options) in RUNS.items():
+    rows, load = [], folder / "force.txt"
+    for name, (file, lengths, options) in RUNS.items():
+        film = folder / file
         for frames in lengths:
-            raw_avi(film, frames, moving, repeated=True)
+            film_of(film, frames)
             force(load, frames)
             words = [str(film), "--quiet", "--overwrite", "--out", str(folder / "out")]
             words += [str(load) if word == "FORCE" else word for word in options]
             child = [sys.executable, "-c", PEAK + COMMAND, *words]
             done = subprocess.run(child, capture_output=True, text=True, check=True)
             peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
-            strip = 4 * 600 * frames / MIB * (5 if "--strips" in options else 1)
+            strip = 4 * WIDTH * frames / MIB * (5 if "--strips" in options else 1)
             cells = [name, frames, f"{peak:.0f} MiB", f"{strip:.0f} MiB"]
             rows.append(row(cells))
             sys.stdout.write(rows[-1] + "\n")
             sys.stdout.flush()
+            film.unlink()
     return rows
 
 
@@ -259,12 +290,12 @@ def main() -> None:
         "temporary file beside the run folder where `track` reads the film. Of the file, only the part in",
         "use is in memory.",
         "",
-        "The whole command, raw film of 600 x 24 px with 24 sheets; peak of all of the process, imports",
-        "included. Where I(x, t) is in a temporary file, so are the tables of positions, of 4 or 8 bytes a",
-        "frame and sheet, of which a few are in memory at a time. With `--force` the sheets slip every 20",
-        "frames, 5000 times in 100000.",
+        f"The whole command, films of {WIDTH} x {HEIGHT} px with {SHEETS} sheets, whose frames have noise of",
+        "their own; peak of all of the process, imports included. Where I(x, t) is in a temporary file, so",
+        "are the tables of positions, of 4 or 8 bytes a frame and sheet, of which a few are in memory at a",
+        "time. With `--force` the sheets slip every 20 frames, 5000 times in 100000.",
         "",
-        *head(["options", "frames", "peak", "I(x, t), on disk"]),
+        *head(["film, options", "frames", "peak", "I(x, t), on disk"]),
         *whole(folder),
     ]
     shutil.rmtree(folder)
