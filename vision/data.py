@@ -442,7 +442,7 @@ class ForceMetadata(Metadata):
     encoding: str = ""
     separator: str = ""
     decimal: str = ""
-    columns: str = ""
+    columns: Sequence[str] = field(default_factory=list)  # role = name [unit] of each that is used
     blocks: str = ""
     columns_seen: str = ""
     displacement_unit: Literal["stated", "assumed"] = "stated"  # in the file

@@ -367,8 +367,7 @@ def force_columns_text(force: xr.Dataset) -> str:
     facts = ForceMetadata.of(force)
     if not facts.columns:
         return ""
-    roles = re.split(r"; (?=(?:load|displacement|video_time) = )", facts.columns)
-    taken = (re.sub(r"(?<= = ).*(?= \[)", lambda name: shortened(name[0], 24), role) for role in roles)
+    taken = (re.sub(r"(?<= = ).*(?= \[)", lambda name: shortened(name[0], 24), one) for one in facts.columns)
     step = float(nan_median(np.diff(good_samples(force)["time_s"].values)))
     rate = f"; {1 / step:.4g} Hz" if step > 0 else ""
     pulled = f", V {facts.speed_mm_min:.3g} mm/min" if math.isfinite(facts.speed_mm_min) else ""

@@ -197,7 +197,7 @@ def _dataset(
         d0_mm=math.nan if d0_mm is None else d0_mm,
         d0_err_mm=math.nan if d0_err_mm is None else float(d0_err_mm),
         displacement_unit="assumed" if crosshead is not None and found["displacement"].assumed else "stated",
-        columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
+        columns=[f"{role} = {c.name} [{c.unit}]" for role, c in found.items()],
         notes=_notes(found, source, d0_mm, _at_slips(jumps, load)),
         warnings=warnings,
         **facts,

@@ -200,13 +200,11 @@ def _undetermined(reason: str, advice: str = "") -> InputError:
 
 def _read_as(force: xr.Dataset) -> str:
     """Advice to check the units, with the columns that were read."""
-    columns = ForceMetadata.of(force).columns
     advice = "check the units of displacement and load"
-    return (
-        f"{advice}, read as {columns} (`force_columns` displacement=NAME:m,load=NAME:kN states them)"
-        if columns
-        else advice
-    )
+    if not (columns := ForceMetadata.of(force).columns):
+        return advice
+    states_them = "`force_columns` displacement=NAME:m,load=NAME:kN states them"
+    return f"{advice}, read as {'; '.join(columns)} ({states_them})"
 
 
 def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> str:
