@@ -207,6 +207,19 @@ def test_every_slip_is_seen_and_nothing_else(scene, slips_s):
     assert np.sqrt(np.mean((off / found["error_s"]) ** 2)) == pytest.approx(1, abs=0.35)
 
 
+def test_four_of_fifty_sheets_beside_a_hand_show_the_slips(slips_s):
+    """A failure means that slips are lost, or are misplaced to the end of what hides the other sheets."""
+    rng = np.random.default_rng(7)
+    seen = tracks(rng, slips_s, stop_s=STOP_S, per_side=25)
+    x = seen["x_px"].values.copy()
+    for first in range(10, len(x), 40):
+        x[first : first + 8, rng.permutation(50)[4:]] = np.nan
+    found = video_slips(seen.assign(x_px=(("frame", "sheet"), x)))
+    off = against(found["time_s"].to_numpy(), slips_s)
+    assert len(found) == pytest.approx(len(slips_s), rel=0.03)
+    assert np.abs(off / found["error_s"]).max() < 4
+
+
 def test_a_slip_between_two_frames_is_placed_in_the_middle(slips_s):
     """A failure means a bias of the clocks by part of a frame."""
     found = video_slips(tracks(np.random.default_rng(2), slips_s, stop_s=STOP_S))

@@ -29,9 +29,6 @@ class ClockSettings(Tunable):
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (`test_inward_steps_and_bad_single_frames_are_no_slips`)."""
-    least_sheets: float = 0.2
-    """Fraction of the sheets that a frame must show to be used. Larger → slips in poor frames are timed less
-    well."""
 
     # Slips of the load cell
     window_of_period: float = 0.3

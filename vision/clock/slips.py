@@ -217,7 +217,7 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     out more. A slip is an :math:`a_f` that exceeds the creep significantly. During an exposure it shows as a
     frame in an intermediate position, which gives its time; between two exposures it may lie anywhere.
     """
-    steps = _steps(tracks, settings.least_sheets)
+    steps = _steps(tracks)
     n = np.asarray(tracks["n"].values, np.float64)
     pattern = n / n.max()  # initial guess: outer sheets move more
     noise = _noise(steps.moved_px)
@@ -238,15 +238,15 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     )
 
 
-def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
-    """Movement between consecutive frames that show enough sheets and have increasing times."""
+def _steps(tracks: xr.Dataset) -> _Steps:
+    """Movement between consecutive frames that show sheets and have increasing times."""
     x = np.asarray(tracks["x_px"].values, np.float64)
     time = np.asarray(tracks["time_s"].values, np.float64)
     side = np.asarray(tracks["side"].values, np.float64)
     about = StripMetadata.of(tracks).source
     if not np.isfinite(time).any():
         raise InputError(about, "a time for each frame", "none", "give `fps` or `timestamps`")
-    seen = np.isfinite(x).mean(axis=1) >= least_sheets
+    seen = np.isfinite(x).any(axis=1)
     # A time stamp that does not increase is stale: the frame's true time is not known.
     before = np.maximum.accumulate(np.r_[-np.inf, np.where(np.isfinite(time), time, -np.inf)])[:-1]
     good = np.flatnonzero(seen & (time > before))
