@@ -257,6 +257,20 @@ def test_text_that_is_clearer_than_the_ridges_and_as_wide_as_the_picture_is_left
     assert clear.warnings == ()
 
 
+@pytest.mark.parametrize("text", ["12:30", "1 mm"])
+@pytest.mark.parametrize("width", [220, 360])
+def test_a_short_text_in_a_narrow_picture_is_left_out(width, text):
+    """Failure: a few letters, which are in one segment of few, shift the sheets below them."""
+    x, noise = np.arange(width), np.random.default_rng(4)
+    frames = np.empty((8, 120, width), np.uint8)
+    for t, frame in enumerate(frames):
+        ridges = 40 + 50 * np.exp(-((((x - 0.3 * t) % 24) - 12) ** 2) / 23)
+        frame[:] = (ridges + noise.normal(0, 3, frame.shape)).clip(0, 255)
+        cv2.putText(frame, text, (4, 48), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 250, 2)
+    assert find_strip(Scene(frames)).rows.start > 48
+    assert find_strip(Scene(frames), settings=VideoSettings(few_segments=0)).rows.start < 40
+
+
 def test_the_few_rows_beside_text_over_most_of_the_picture_are_the_strip():
     """Failure: letters over seven tenths of the rows stay in the strip and shift the sheets below them."""
     x, noise = np.arange(700), np.random.default_rng(3)

@@ -67,7 +67,8 @@ class VideoSettings(Tunable):
     sarcomeres, which share none, for text."""
     few_segments: int = 6
     """Number of segments up to which text in a single one is left out, as it may decide there. Larger leaves
-    out rows because of a speck, smaller takes a scale bar for the strip of a narrow picture."""
+    out rows because of a speck, smaller leaves short text in the strip of a narrow picture
+    (test_a_short_text_in_a_narrow_picture_is_left_out)."""
     max_level: float = 2.0
     """Mean square step of the grey level along z, over that along x, above which a warning says that the
     ridges may be horizontal. Larger does not warn of films of sheets that move along y (2.6 to 60 in real
