@@ -16,7 +16,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import av
@@ -27,6 +27,10 @@ import tifffile
 from reports.writing import head, row, write_report
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import avi_header
+from vision.experiment import Experiment, with_settings
+from vision.experiment.scene import frame_times
+from vision.experiment.settings import Camera
+from vision.experiment.simulate import write_video
 from vision.numeric import Pixels
 from vision.video import VideoSettings
 
@@ -35,17 +39,15 @@ STRIP = (360, 440)
 GOP = 24  # frames that are encoded; longer films repeat them
 WHOLE = (25_000, 100_000)  # frames for the whole command
 SHEETS, WIDTH, HEIGHT = 24, 600, 24  # of these films
-RUNS: dict[str, tuple[str, tuple[int, ...], list[str]]] = {
-    "raw, `--no-report`": ("a.avi", WHOLE, ["--no-report"]),
-    "raw, with the report": ("a.avi", WHOLE, []),
-    "raw, `--strips 4`": ("a.avi", WHOLE[:1], ["--strips", "4"]),
-    "raw, `--force`": (
-        "a.avi", WHOLE, ["--force", "FORCE", "--d0", "13", "--offset", "0", "--pixel-size", "10"]
-    ),
-    "MJPEG, with the report": ("m.avi", WHOLE[1:], []),
-    "H.264, with the report": ("h.mkv", WHOLE[1:], []),
-}  # fmt: skip
-"""File, numbers of frames, and options of the whole command."""
+RUNS = {
+    "raw, `--no-report`": ("raw", WHOLE, "--no-report"),
+    "raw, with the report": ("raw", WHOLE, ""),
+    "raw, `--strips 4`": ("raw", WHOLE[:1], "--strips 4"),
+    "raw, `--force`": ("raw", WHOLE, "--force FORCE --d0 13 --offset 0 --pixel-size 10"),
+    "MJPEG, with the report": ("mjpeg", WHOLE[1:], ""),
+    "H.264, with the report": ("h264", WHOLE[1:], ""),
+}
+"""Container of `write_video`, numbers of frames, and options of the whole command."""
 MIB = 1 << 20
 
 PEAK = """
@@ -77,20 +79,18 @@ def pictures() -> Pixels:
     return np.ascontiguousarray(np.repeat(profile, ROWS, axis=1))
 
 
-def raw_avi(path: Path, frames: int, shown: Iterable[Pixels]) -> None:
-    """Write a sparse file: the first frames as they are shown, and only the chunk headers of the others."""
-    shown = iter(shown)
-    first = next(shown)
-    rows, columns = first.shape
+def raw_avi(path: Path, frames: int, shown: Pixels) -> None:
+    """Write a sparse file: the first frames, and only the chunk headers of the others."""
+    rows, columns = shown.shape[1:]
     head = avi_header(width=columns, height=rows, bits=8, fourcc=b"Y800", frames=frames)
     size = rows * columns
     with path.open("wb") as out:
         out.write(b"RIFF" + struct.pack("<I", 0) + b"AVI " + head + b"LIST" + struct.pack("<I", 0) + b"movi")
         start = out.tell()
-        stored = (picture.tobytes() for picture in itertools.chain([first], shown))
         for n in range(frames):
             out.seek(start + n * (size + 8))
-            out.write(b"00dc" + struct.pack("<I", size) + next(stored, b""))
+            stored = shown[n].tobytes() if n < len(shown) else b""
+            out.write(b"00dc" + struct.pack("<I", size) + stored)
         out.truncate(start + frames * (size + 8))
 
 
@@ -221,39 +221,32 @@ def force(path: Path, frames: int) -> None:
 
 
 def noisy(frames: int) -> Iterator[Pixels]:
-    """Yield frames of sheets that slip every 20 frames, each with noise of its own, as a camera's have."""
+    """Yield frames (1, rows, columns) of sheets that slip every 20 frames, each with noise of its own, as a
+    camera's have."""
     clean = frames_of(positions(frames=60, sheets=SHEETS), width_px=WIDTH, rows=1, noise=0).astype(np.int16)
     noise = np.random.default_rng(1).normal(0, 1.5, 1 << 25).round().astype(np.int16)
     for n in range(frames):
         start = 10_007 * n % (noise.size - HEIGHT * WIDTH)  # another one for each frame
         of_frame = noise[start : start + HEIGHT * WIDTH].reshape(HEIGHT, WIDTH)
-        yield (clean[n % len(clean)] + of_frame).clip(0, 255).astype(np.uint8)
-
-
-def film_of(path: Path, frames: int) -> None:
-    """Write such a film, raw or encoded, as the file's name says."""
-    if path.name == "a.avi":
-        raw_avi(path, frames, noisy(frames))
-        return
-    codec, form = ("mjpeg", "yuvj420p") if path.suffix == ".avi" else ("libx264", "yuv420p")
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream(codec, rate=100, options={"preset": "ultrafast"} if form == "yuv420p" else {})
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, form
-        for picture in noisy(frames):
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")))
-        out.mux(stream.encode())
+        yield (clean[n % len(clean)] + of_frame).clip(0, 255).astype(np.uint8)[None]
 
 
 def whole(folder: Path) -> list[str]:
     """Return the peak memory of the whole command with each of the options, imports included."""
     rows, load = [], folder / "force.txt"
-    for name, (file, lengths, options) in RUNS.items():
-        film = folder / file
+    size = {
+        "camera.width": WIDTH,
+        "camera.height": HEIGHT,
+        "camera.strip_rows": HEIGHT,
+        "sheets.count": SHEETS,
+    }
+    for name, (container, lengths, options) in RUNS.items():
         for frames in lengths:
-            film_of(film, frames)
+            test = with_settings(Experiment(), {**size, "camera.duration_s": frames / Camera.fps})
+            film = write_video(folder, noisy(frames), test.camera, frame_times(test), container=container)
             force(load, frames)
             words = [str(film), "--quiet", "--overwrite", "--out", str(folder / "out")]
-            words += [str(load) if word == "FORCE" else word for word in options]
+            words += [str(load) if word == "FORCE" else word for word in options.split()]
             child = [sys.executable, "-c", PEAK + COMMAND, *words]
             done = subprocess.run(child, capture_output=True, text=True, check=True)
             peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
