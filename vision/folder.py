@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import glob
+import hashlib
 import html
+import itertools
 import json
 import math
 import os
@@ -12,9 +15,9 @@ import secrets
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from vision.errors import InputError, reason_of
 from vision.files import c_library
@@ -32,6 +35,7 @@ TRUTH = "truth.nc"
 KNOWN_BY = {RUN_JSON: "a run folder", TRUTH: "a synthetic test"}  # what a folder is, by a file in it
 PART, OLD = ".part", ".old"  # suffixes of a run that is being written, and of one that was moved aside
 READING = ".reading"  # suffix of the folder that holds the frames read so far
+CLOSE_FILES = "close its files in other programs (Excel?)"
 
 
 def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
@@ -43,6 +47,8 @@ def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> 
     try:
         if target.exists():
             _check_earlier(target, overwrite=overwrite, known_by=known_by)
+            if fcntl is None:
+                _check_closed(target)
         parent = existing_parent(target)
     except OSError as error:
         raise unwritable(target, error) from error
@@ -78,6 +84,19 @@ def _check_earlier(target: Path, *, overwrite: bool, known_by: str) -> None:
     check_new(target, overwrite=overwrite or empty, kind="folder")
 
 
+def _check_closed(folder: Path) -> None:
+    """Check that no file of a folder is open: Windows would not let the folder be replaced.
+
+    Raises: InputError.
+    """
+    for one in folder.rglob("*"):
+        try:
+            one.rename(one)  # refused if it is open
+        except OSError as error:
+            found = f"{one.relative_to(folder)}: {reason_of(error)}"
+            raise InputError(folder, "a folder that no program uses", found, CLOSE_FILES) from error
+
+
 @contextmanager
 def run_folder(target: Path, *, overwrite: bool = False, known_by: str = RUN_JSON) -> Iterator[Path]:
     """Yield a temporary folder beside `target`; replace `target` by it at the end.
@@ -102,7 +121,7 @@ def run_folder(target: Path, *, overwrite: bool = False, known_by: str = RUN_JSO
         raise unwritable(target, error) from error
     finally:
         if lock is not None:
-            os.close(lock)
+            lock.release()
 
 
 @contextmanager
@@ -140,58 +159,95 @@ def clean_up(target: Path) -> None:
             _restore_or_remove(left, target)
         else:
             shutil.rmtree(left, ignore_errors=True)
-        os.close(lock)
+        lock.release()
 
 
-def lock_folder(folder: Path) -> int | None:
-    """Lock a folder and return a handle that holds the lock; it also ends when the process does.
+@dataclass(frozen=True)
+class Lock:
+    """A lock that this process holds on a path. It ends with the process, however that ends."""
 
-    Returns None if another process holds the lock, there is no such folder, or the system is not POSIX.
-    """
-    if fcntl is None:
-        return None
+    handle: int | None
+    """Of the open file, on Windows of a mutex; None where the file system has no locks."""
+
+    def release(self) -> None:
+        """End the lock."""
+        if self.handle is None:
+            return
+        if fcntl is None:
+            _kernel32().CloseHandle(ctypes.c_void_p(self.handle))
+        else:
+            os.close(self.handle)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.release()
+
+
+def lock_folder(folder: Path) -> Lock | None:
+    """Lock a folder; None if another process holds its lock, or it cannot be locked."""
     try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        return _locked(folder, os.O_RDONLY)
     except OSError:
         return None
-    try:
-        lock_open_file(handle)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
 
 
-def lock_open_file(handle: int) -> None:
-    """Lock an open file for this process until it is closed; do nothing if the system is not POSIX.
-
-    Raises: BlockingIOError if another process holds the lock, OSError if the file system has no locks.
-    """
-    if fcntl is not None:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def claim(path: Path, taken: InputError, advice: str) -> IO[str]:
-    """Lock a file, made if there is none, for this process; closing the returned file unlocks it.
-
-    The lock ends with the process, however that ends. Where there are no such locks (Windows, some file
-    servers) nothing is locked.
+def claim(path: Path, taken: InputError, advice: str) -> Lock:
+    """Lock a file, made if there is none. On a file system without locks nothing is locked.
 
     Raises: `taken` if another process holds the lock, InputError if the file cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("w", encoding="utf-8")
+        path.touch()
     except OSError as error:
         raise unwritable(path.parent, error, advice) from error
     try:
-        lock_open_file(file.fileno())
+        return _locked(path, os.O_RDWR)
     except BlockingIOError:
-        file.close()
         raise taken from None
     except OSError:
-        pass
-    return file
+        return Lock(None)
+
+
+def _locked(path: Path, flags: int) -> Lock:
+    """Lock a file or folder.
+
+    Windows can neither lock a folder nor rename one in which a file is open: there a mutex, whose name
+    follows from the path, stands for it.
+
+    Raises: BlockingIOError if another process holds the lock; OSError if there is no such path, or the file
+    system has no locks.
+    """
+    if fcntl is None:
+        return Lock(_mutex_of(path.resolve(strict=True)))
+    handle = os.open(path, flags)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        raise
+    return Lock(handle)
+
+
+def _mutex_of(path: Path) -> int:
+    """Make the mutex of a path on Windows.  Raises: BlockingIOError if another process has made it."""
+    kernel, name = _kernel32(), hashlib.sha256(os.path.normcase(path).encode()).hexdigest()
+    handle = kernel.CreateMutexW(None, False, f"Global\\sheetvision-{name}")
+    exists = ctypes.get_last_error() == 183  # type: ignore[attr-defined]  # ERROR_ALREADY_EXISTS
+    if exists:
+        kernel.CloseHandle(ctypes.c_void_p(handle))
+    if exists or not handle:  # not: another user's
+        raise BlockingIOError
+    return int(handle)
+
+
+def _kernel32() -> Any:
+    """Return the functions of Windows' kernel32.dll."""
+    kernel = ctypes.WinDLL("kernel32", use_last_error=True)  # type: ignore[attr-defined]
+    kernel.CreateMutexW.restype = ctypes.c_void_p
+    return kernel
 
 
 def keep_others(earlier: Path, made: Path, written: Collection[str]) -> None:
@@ -223,7 +279,8 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = R
     If the file system can exchange two names in one step, the target is at any time the old run or the new
     one. Otherwise a kill between two renames leaves the old run aside, and `clean_up` restores it.
 
-    Raises: InputError if the target exists by now and may not be replaced.
+    Raises: InputError if the target exists by now and may not be replaced, or the system does not let it be
+    moved; in that case `made` gets another name, so that nothing that was computed is lost.
     """
     if not target.exists():
         made.rename(target)
@@ -233,13 +290,25 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = R
         return
     old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
     try:
-        target.rename(old)
+        try:
+            target.rename(old)
+        except OSError as error:
+            beside = _free_name(target)
+            made.rename(beside)
+            advice = f"the new run is in {beside}; {CLOSE_FILES} before the next"
+            raise InputError(target, "a folder that can be replaced", reason_of(error), advice) from error
         made.rename(target)
     finally:
         try:
             _restore_or_remove(old, target)
         finally:  # again, as an interrupt may have ended it
             _restore_or_remove(old, target)
+
+
+def _free_name(target: Path) -> Path:
+    """Return the first of NAME_2, NAME_3, … that does not exist."""
+    names = (target.with_name(f"{target.name}_{n}") for n in itertools.count(2))
+    return next(name for name in names if not name.exists())
 
 
 def _restore_or_remove(old: Path, target: Path) -> None:

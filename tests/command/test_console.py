@@ -45,3 +45,22 @@ def test_tables_are_formatted_in_memory_that_is_given_back():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=surroundings
     )
     assert done.stdout.split()[-1] == "system"
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [
+        ("cp1252", "µm ± Lambda_st sigma_x DeltaF N^ T0 -1 × ×"),
+        ("ascii", "um +/- Lambda_st sigma_x DeltaF N^ T0 -1 ? ?"),
+    ],
+)
+def test_characters_that_an_encoding_lacks_are_spelled(encoding, shown):
+    """A failure means that a summary that is sent to a file on Windows names its results "?"."""
+    code = (
+        "from vision.command.console import open_closed_streams, say\n"
+        "open_closed_streams()\n"
+        "say(['µm ± Λ_st σ_x ΔF N̂ 𝒯₀ −1 × ×'])"
+    )
+    surroundings = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=surroundings)
+    assert done.stdout.decode(encoding).strip() == shown

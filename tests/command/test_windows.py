@@ -66,6 +66,47 @@ def test_frames_stored_for_resume_are_removed(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["r"]
 
 
+WINDOWS = """
+from pathlib import Path
+from tests.scenes.windows import become_windows
+
+become_windows()
+from vision import folder
+from vision.command import main
+"""
+
+
+def test_what_a_killed_run_left_is_removed_but_not_what_one_writes(tmp_path):
+    """A failure means that hidden folders pile up, or that two runs remove each other's files."""
+    for name in (".r.1.part", ".r.2.old", ".r.reading", ".r.3.part"):
+        (tmp_path / name).mkdir()
+    held = "lock = folder.lock_folder(Path('.r.3.part'))\nassert not folder.lock_folder(Path('.r.3.part'))\n"
+    film = [PAPER / "video.avi", "--out", "r", "--no-report"]
+    assert windows(*film, folder=tmp_path, program=("-c", f"{WINDOWS}{held}raise SystemExit(main())"))[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".r.3.part", "r"]
+    assert windows(*film, "--overwrite", folder=tmp_path)[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r"]
+
+
+def test_a_run_that_another_program_has_open_is_not_replaced(tmp_path):
+    """A failure means that a table that Excel shows costs an hour's tracking, or is found at its end."""
+    film = [PAPER / "video.avi", "--out", "r", "--no-report"]
+    assert windows(*film, folder=tmp_path)[0] == 0
+    held = f"{WINDOWS}file = open('r/tracks.csv')\n"
+    program = ("-c", f"{held}raise SystemExit(main())")
+    status, said = windows(*film, "--overwrite", folder=tmp_path, program=program)
+    assert status == 2
+    assert "found tracks.csv: the process cannot access the file" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r"]
+
+    program = ("-c", f"{held}folder._check_closed = lambda run: None\nraise SystemExit(main())")
+    status, said = windows(*film, "--overwrite", folder=tmp_path, program=program)
+    assert status == 2
+    assert "the new run is in r_2; close its files" in said
+    assert (tmp_path / "r" / "tracks.csv").read_bytes() == (tmp_path / "r_2" / "tracks.csv").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r", "r_2"]
+
+
 def test_a_parser_is_tried_out_in_a_process_without_limits(tmp_path):
     """A failure means that no MATLAB file can be read on Windows, or that a damaged one is."""
     (tmp_path / "pull.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))

@@ -6,13 +6,16 @@ their own ways by the system that they see.
 """
 
 import ctypes
+import fcntl
 import mmap
 import multiprocessing
 import os
 import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import cv2  # noqa: F401
@@ -56,6 +59,24 @@ def _refusing(call: Callable[..., None]) -> Callable[..., None]:
     return wrapped
 
 
+_last_error = [0]
+
+
+def _create_mutex(security: None, owned: bool, name: str) -> int:
+    """Make a mutex: a locked file, which is free again when its process has ended."""
+    handle = os.open(Path(tempfile.gettempdir(), name.replace("\\", "-")), os.O_RDWR | os.O_CREAT)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _last_error[:] = [0]
+    except OSError:
+        _last_error[:] = [183]
+    return handle
+
+
+def _close_handle(handle: ctypes.c_void_p) -> None:
+    os.close(handle.value or 0)
+
+
 def become_windows() -> None:
     """Take away what Windows lacks, and refuse what it refuses; before the project is imported."""
     for name in ("rename", "replace", "unlink", "remove", "rmdir"):
@@ -70,6 +91,9 @@ def become_windows() -> None:
     for name in ("fcntl", "grp", "pwd", "resource", "termios"):
         sys.modules[name] = None  # type: ignore[assignment]
     ctypes.CDLL.__init__ = _load  # type: ignore[method-assign]
+    kernel = SimpleNamespace(CreateMutexW=_create_mutex, CloseHandle=_close_handle)
+    ctypes.WinDLL = lambda name, use_last_error: kernel
+    ctypes.get_last_error = lambda: _last_error[0]
     multiprocessing.get_all_start_methods = lambda: ["spawn"]
 
     from vision import files

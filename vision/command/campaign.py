@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter as Option
 
@@ -42,7 +42,7 @@ from vision.command.settings import at_least, parse_option, read_config, setting
 from vision.command.track import origin_of, run_name, track_one
 from vision.errors import InputError, counted, with_options
 from vision.files import answered, usable_cores
-from vision.folder import claim
+from vision.folder import Lock, claim
 from vision.pipeline import check_recordings, open_force, open_recording
 from vision.run.provenance import Parameter
 from vision.summary import aligned
@@ -116,8 +116,8 @@ def campaign(
         return _watch(watcher, rows, new, lambda ready: run(make(ready)), options.idle)
 
 
-def _claimed(out: Path) -> IO[str]:
-    """Lock a campaign's folder until the returned file is closed.  Raises: InputError."""
+def _claimed(out: Path) -> Lock:
+    """Lock a campaign's folder.  Raises: InputError."""
     busy = InputError(out, "a campaign that is not running", "a running one", "wait for its end")
     return claim(out / ".lock", busy, "give another `out`")
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
+import errno
 import os
 import re
 import sys
 import tempfile
 import traceback
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
@@ -19,13 +22,16 @@ from vision.errors import FULL_DISK, InputError, nearest_word, reason_of, with_o
 from vision.files import Progress, c_library
 
 T = TypeVar("T")
+SPELLED = {"Λ": "Lambda", "−": "-", "–": "-", "±": "+/-", "µ": "u", "°": " deg", "→": "->", "\u0302": "^"}
+CLOSED_PIPE = (errno.EPIPE, errno.EINVAL)  # the latter on Windows
 
 
 def open_closed_streams() -> None:
     """Open closed standard streams (`2>&-`) to the null device, so that no other file takes their number.
 
-    Characters that a stream's encoding lacks are printed as "?".
+    Characters that a stream's encoding lacks, as that of a file or pipe on Windows lacks Λ, are spelled.
     """
+    codecs.register_error("spelled", _spelled)
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             nowhere = os.open(os.devnull, os.O_RDWR)  # gets the lowest free number: the stream's
@@ -33,7 +39,21 @@ def open_closed_streams() -> None:
             setattr(sys, name, os.fdopen(nowhere, mode, closefd=False))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")
+            stream.reconfigure(errors="spelled")
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """Return what stands for a character that cannot be encoded: "Lambda" for Λ, "0" for ₀, else "?"."""
+    assert isinstance(error, UnicodeEncodeError)
+    character = error.object[error.start]
+    greek = re.fullmatch(r"GREEK (?:SMALL|(CAPITAL)) LETTER (\w+)", unicodedata.name(character, ""))
+    if character in SPELLED:
+        shown = SPELLED[character]
+    elif greek:
+        shown = greek[2].capitalize() if greek[1] else greek[2].lower()
+    else:
+        shown = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode() or "?"
+    return shown, error.start + 1
 
 
 def silence_libraries() -> None:
@@ -71,7 +91,7 @@ def say(lines: Iterable[str]) -> None:
     A closed pipe (`track … | head -1`) or stream is ignored; a full disk is reported.
     """
     error = _print(lines, sys.stdout)
-    if error is not None and not isinstance(error, BrokenPipeError):
+    if error is not None and error.errno not in CLOSED_PIPE:
         complain(f"the summary could not be printed: {reason_of(error)}")
 
 

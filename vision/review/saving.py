@@ -142,10 +142,10 @@ class Saver:
             self._child = child
             if self._cancelled:
                 child.kill()
-            with contextlib.suppress(BrokenPipeError):  # the child was killed
+            with contextlib.suppress(OSError):  # the child was killed
                 pickle.dump((PACKAGE_PATHS, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
-            with contextlib.suppress(BrokenPipeError):
+            with contextlib.suppress(OSError):
                 child.stdin.close()
             for line in child.stdout:
                 kind, content, done, total = json.loads(line)

@@ -90,7 +90,7 @@ class Session:
                 self.revision = 0  # stored answers to a page's first requests have revision 0
                 self.recordings = Recordings(self.stored, settings, film)
         except BaseException:
-            self._claim.close()
+            self._claim.release()
             raise
 
     def _load(self) -> None:
@@ -153,7 +153,7 @@ class Session:
         self.trial.discard()
         self.saver.wait()
         self.diagram.close()
-        self._claim.close()
+        self._claim.release()
 
     # --- saving ---------------------------------------------------------------------------------------------
 

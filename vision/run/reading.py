@@ -26,6 +26,7 @@ from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, Progress, matching, reading, shortened, try_out
 from vision.folder import (
     RUN_JSON,
+    Lock,
     check_target,
     existing_parent,
     from_json,
@@ -412,14 +413,14 @@ class Checkpoint:
         self._began = time.monotonic()
         self._own = False  # whether this run holds the folder's lock
         self._off = False  # whether nothing is stored: another run has the folder, or writing failed
-        self._lock: int | None = None
+        self._lock: Lock | None = None
         self._file: BinaryIO | None = None
         self._facts: Callable[[], dict[str, Any]] = dict
 
     def __enter__(self) -> Self:
         if self._place.is_dir():
             self._lock = lock_folder(self._place)
-            self._own = self._lock is not None or os.name != "posix"
+            self._own = self._lock is not None
             self._off = not self._own
             if self._off and self._resume:
                 found, advice = "one that is still running", "wait for it, or give another `out`"
@@ -432,7 +433,7 @@ class Checkpoint:
         if self._file is not None:
             self._file.close()
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.release()
             self._lock = None
 
     def remove(self) -> None:
