@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import pytest
 
 from vision import folder
 from vision.errors import InputError
-from vision.folder import check_target, run_folder, write_json
+from vision.folder import check_target, claim, run_folder, write_json
 from vision.run.provenance import Parameter
 
 
@@ -154,6 +156,35 @@ def test_two_runs_at_once_do_not_remove_each_other_s_files(tmp_path):
             write_run(other)
         folder.clean_up(tmp_path / "out")
         assert (first / "run.json").read_text() == "first"
+
+
+def test_one_at_a_time_holds_a_claim_which_leaves_no_file(tmp_path):
+    """A failure means that two reviews of one run begin together, or that hidden files stay beside it."""
+    file, busy, held, most = tmp_path / ".r.review", InputError("r", "a", "b"), [], []
+
+    def take_turns(_):
+        for _ in range(200):
+            try:
+                with claim(file, busy, "") as lock:
+                    held.append(lock)
+                    most.append(len(held))
+                    held.remove(lock)
+            except InputError as error:
+                assert error is busy
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(take_turns, range(8)))
+    assert max(most) == 1
+    assert len(most) > 200
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_claim_is_of_the_file_that_is_there(tmp_path, monkeypatch):
+    """A failure means that two hold it, if one opened the file before its last holder removed it."""
+    file, lock = tmp_path / ".r.review", fcntl.flock
+    monkeypatch.setattr("fcntl.flock", lambda *of: (file.unlink(), monkeypatch.undo(), lock(*of)))
+    with claim(file, InputError("r", "a", "first"), ""), pytest.raises(InputError, match="second"):
+        claim(file, InputError("r", "a", "second"), "")
 
 
 @pytest.mark.parametrize("exchange", [True, False])

@@ -15,7 +15,7 @@ import secrets
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -169,8 +169,14 @@ class Lock:
     handle: int | None
     """Of the open file, on Windows of a mutex; None where the file system has no locks."""
 
+    file: Path | None = None
+    """A file that only the lock is for, removed at its end."""
+
     def release(self) -> None:
         """End the lock."""
+        if self.file is not None:
+            with suppress(OSError):
+                self.file.unlink()
         if self.handle is None:
             return
         if fcntl is None:
@@ -194,21 +200,35 @@ def lock_folder(folder: Path) -> Lock | None:
 
 
 def claim(path: Path, taken: InputError, advice: str) -> Lock:
-    """Lock a file, made if there is none. On a file system without locks nothing is locked.
+    """Lock a file, which is made, and removed at the end. On a file system without locks nothing is locked.
 
     Raises: `taken` if another process holds the lock, InputError if the file cannot be written.
     """
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        except OSError as error:
+            raise unwritable(path.parent, error, advice) from error
+        try:
+            lock = _locked(path, os.O_RDWR)
+        except BlockingIOError:
+            raise taken from None
+        except FileNotFoundError:  # its last holder removed it just now
+            continue
+        except OSError:
+            return Lock(None, path)
+        if fcntl is None or _is_still(path, lock.handle):
+            return replace(lock, file=path)
+        lock.release()
+
+
+def _is_still(path: Path, handle: int | None) -> bool:
+    """Return whether a path leads to an open file, which the last holder of its lock may have removed."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    except OSError as error:
-        raise unwritable(path.parent, error, advice) from error
-    try:
-        return _locked(path, os.O_RDWR)
-    except BlockingIOError:
-        raise taken from None
-    except OSError:
-        return Lock(None)
+        return handle is not None and os.path.samestat(path.stat(), os.fstat(handle))
+    except FileNotFoundError:
+        return False
 
 
 def _locked(path: Path, flags: int) -> Lock:

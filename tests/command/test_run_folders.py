@@ -1,6 +1,7 @@
 """An analysis from Python as a run folder."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,12 @@ LATE = Path(__file__).parents[2] / "fixtures" / "late"
 GIVEN = Settings(
     rows=slice(0, 30), pixel_size_um=10, timestamps=LATE / "timestamps.txt", d0_mm=16.6, d0_err_mm=0.1
 )
+
+
+def replace_path(file, old, new):
+    """Replace a path in a JSON file."""
+    old, new = (json.dumps(path)[1:-1] for path in (old, new))
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +141,7 @@ def test_moved_files_are_said_or_found(made, tmp_path):
     for name in ("video.avi", "force.txt", "timestamps.txt"):
         shutil.copy(LATE / name, tmp_path)
     shutil.copytree(folder, tmp_path / "run")
-    facts = json.loads((tmp_path / "run" / RUN_JSON).read_text().replace(str(LATE), str(tmp_path)))
-    (tmp_path / "run" / RUN_JSON).write_text(json.dumps(facts))
+    replace_path(tmp_path / "run" / RUN_JSON, str(LATE), str(tmp_path))
     (tmp_path / "force.txt").rename(tmp_path / "moved.txt")
     with pytest.raises(InputError, match="force"):
         vision.load_run(tmp_path / "run")
@@ -146,13 +152,14 @@ def test_moved_files_are_said_or_found(made, tmp_path):
     assert vision.load_run(tmp_path / "run", force=tmp_path / "moved.txt").frame is None
 
 
-def test_run_and_films_that_were_moved_together_are_found(made, tmp_path):
+@pytest.mark.parametrize("old", ["/media/old/films/late/", "D:\\films\\late\\"])
+def test_run_and_films_that_were_moved_together_are_found(old, made, tmp_path):
     """A failure means that a campaign on a disk with another path cannot be corrected or loaded any more."""
     _, folder = made
     shutil.copytree(LATE, tmp_path / "new" / "films" / "late")
     shutil.copytree(folder, tmp_path / "new" / "series" / "runs" / "late")
     moved = tmp_path / "new" / "series" / "runs" / "late" / RUN_JSON
-    moved.write_text(moved.read_text().replace(str(LATE), "/media/old/films/late"))
+    replace_path(moved, f"{LATE}{os.sep}", old)
     again = vision.load_run(moved.parent)
     assert again.video.path == tmp_path / "new" / "films" / "late" / "video.avi"
     assert len(again.sticks)

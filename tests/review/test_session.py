@@ -312,6 +312,7 @@ def test_a_second_review_of_the_same_run_is_refused(run):
     with Session(run, SETTINGS), pytest.raises(InputError, match="open"):
         Session(run, SETTINGS)
     Session(run, SETTINGS).__exit__()
+    assert not list(run.parent.glob(".*.review"))  # a hidden file stays
 
 
 def test_a_disk_that_fails_loses_nothing_that_was_kept(session, monkeypatch):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, BinaryIO, Literal, Self, get_type_hints
 
 import numpy as np
@@ -172,10 +172,12 @@ class RunFolder:
         """Return where a file that the run used is.
 
         A relative path is tried from where the run was made and from here. Then the last parts of the path,
-        as many as possible, are tried from the run and each folder above: both may have been moved together.
+        as many as possible, are tried from the run and each folder above: both may have been moved together,
+        also from Windows to another system.
         """
         made_in = Path(str(self.facts.get("directory") or "."))
-        parts = named.parts[named.is_absolute() :]
+        stated = PureWindowsPath(named) if "\\" in str(named) else named
+        parts = stated.parts[bool(stated.anchor) :]
         ends = (Path(*parts[first:]) for first in range(len(parts)))
         folder = self.folder.absolute()
         moved = (above / end for end in ends for above in (folder, *folder.parents))
