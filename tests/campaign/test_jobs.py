@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -47,20 +48,23 @@ def test_the_page_counts_the_frames_that_were_read(tmp_path):
     assert '<td class="n">17</td>' in text and '<td class="n">30</td>' not in text
 
 
-def test_a_crash_costs_its_film_and_no_other(tmp_path):
+def crash(parent, film, source, target):
+    """Analyse a film; some end their process."""
+    assert os.getpid() != parent
+    if film.name == "t1":
+        faulthandler.disable()
+        ctypes.string_at(0)
+    if film.name == "t3":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return keep(target)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_crash_costs_its_film_and_no_other(method, tmp_path, monkeypatch):
     """A failure means that a decoder's segmentation fault, or one film's memory, ends the night."""
+    monkeypatch.setattr("multiprocessing.get_all_start_methods", lambda: [method])
     plan = planned(tmp_path / "out", films(tmp_path, 5))
-    parent = os.getpid()
-
-    def work(film, source, target):
-        assert os.getpid() != parent
-        if film.name == "t1":
-            faulthandler.disable()
-            ctypes.string_at(0)
-        if film.name == "t3":
-            os.kill(os.getpid(), signal.SIGKILL)
-        return keep(target)
-
+    work = partial(crash, os.getpid())
     assert run_job(plan, job_of(plan), work) == 1
     assert states(plan) == {"t0": "done", "t1": "failed", "t2": "done", "t3": "failed", "t4": "done"}
     reasons = [plan.state(plan.film(name)).reason for name in ("t1", "t3")]

@@ -171,7 +171,7 @@ Returns: why there is no run, in one line; "" if there is one."""
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
-    Each film has a process of its own, forked after the imports: if it dies (a crashing decoder, lack of
+    Each film has a process of its own, where possible forked after the imports: if it dies (a crashing decoder, lack of
     memory), this film is marked as failed and the next begins. `fetched` are local copies of the job's films
     in object storage, in their order.
     """
@@ -191,11 +191,10 @@ def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -
 
 
 def _in_child(work: Callable[[], None]) -> int:
-    """Run `work` in a forked process (without fork, in this one); return its exit code, < 0 for a signal."""
-    if "fork" not in multiprocessing.get_all_start_methods():
-        work()
-        return 0
-    child = multiprocessing.get_context("fork").Process(target=_until_parent_ends, args=(work,))
+    """Run `work` in a forked process, on Windows in a new one; return its exit code, < 0 for a signal."""
+    forks = "fork" in multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork") if forks else multiprocessing.get_context("spawn")
+    child = context.Process(target=_until_parent_ends, args=(work,))
     child.start()
     try:
         child.join()
