@@ -29,6 +29,12 @@ def pytest_xdist_auto_num_workers():
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
+def pytest_runtest_setup(item):
+    """Skip what a system does not have."""
+    if os.name != "posix" and item.get_closest_marker("posix"):
+        pytest.skip("Windows has nothing of the kind")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def harmless():
     """Runs that these tests made are read without a process of their own that tries them first."""

@@ -32,7 +32,7 @@ def test_whole_files_pass(matlab, tmp_path):
 @pytest.mark.parametrize(
     ("parser", "found", "seconds"),
     [
-        ("import os; os.kill(os.getpid(), 11)", "SIGSEGV", 60),
+        pytest.param("import os; os.kill(os.getpid(), 11)", "SIGSEGV", 60, marks=pytest.mark.posix),
         ("while True: pass", "does not end", 0.5),
         ("bytearray(1 << 40)", "asks for more memory", 60),
         ("raise TypeError('a\\nb')", "found a damaged or incomplete one; save", 60),
@@ -118,7 +118,7 @@ def alive(pid):
     ("asked", "there", "advice"),
     [
         ("test.avi", "test.mkv", "did you mean test.mkv"),
-        ("Test.AVI", "test.avi", "did you mean test.avi"),
+        pytest.param("Test.AVI", "test.avi", "did you mean test.avi", marks=pytest.mark.posix),
         ("pull_13mn.csv", "pull_13mm.csv", "did you mean pull_13mm.csv"),
         ("test.avi", "other.txt", "check the path"),
     ],
@@ -130,6 +130,7 @@ def test_missing_files_suggest_a_similar_name(asked, there, advice, tmp_path):
         check_regular(tmp_path / asked, "a video")
 
 
+@pytest.mark.posix
 def test_a_link_to_nothing_is_named_as_such(tmp_path):
     """A failure means that a link to a film on a disk that was unmounted is answered with its own name."""
     (tmp_path / "test.avi").symlink_to(tmp_path / "away.avi")

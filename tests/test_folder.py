@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -92,6 +91,7 @@ def test_an_empty_folder_is_used_without_being_asked(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("there", [True, False])
 def test_a_link_to_a_folder_stays(there, tmp_path):
     """A failure means that results which were linked to another disk go to this one, or are refused."""
@@ -181,7 +181,7 @@ def test_one_at_a_time_holds_a_claim_which_leaves_no_file(tmp_path):
 
 def test_a_claim_is_of_the_file_that_is_there(tmp_path, monkeypatch):
     """A failure means that two hold it, if one opened the file before its last holder removed it."""
-    file, lock = tmp_path / ".r.review", fcntl.flock
+    file, lock = tmp_path / ".r.review", pytest.importorskip("fcntl").flock
     monkeypatch.setattr("fcntl.flock", lambda *of: (file.unlink(), monkeypatch.undo(), lock(*of)))
     with claim(file, InputError("r", "a", "first"), ""), pytest.raises(InputError, match="second"):
         claim(file, InputError("r", "a", "second"), "")

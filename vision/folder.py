@@ -29,6 +29,7 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
+POSIX = fcntl is not None
 
 RUN_JSON = "run.json"
 TRUTH = "truth.nc"
@@ -47,7 +48,7 @@ def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> 
     try:
         if target.exists():
             _check_earlier(target, overwrite=overwrite, known_by=known_by)
-            if fcntl is None:
+            if not POSIX:
                 _check_closed(target)
         parent = existing_parent(target)
     except OSError as error:
@@ -179,7 +180,7 @@ class Lock:
                 self.file.unlink()
         if self.handle is None:
             return
-        if fcntl is None:
+        if not POSIX:
             _kernel32().CloseHandle(ctypes.c_void_p(self.handle))
         else:
             os.close(self.handle)
@@ -200,25 +201,34 @@ def lock_folder(folder: Path) -> Lock | None:
 
 
 def claim(path: Path, taken: InputError, advice: str) -> Lock:
-    """Lock a file, which is made, and removed at the end. On a file system without locks nothing is locked.
+    """Lock a path; on POSIX systems it becomes a file, which is removed at the end.
+
+    On a file system without locks nothing is locked.
 
     Raises: `taken` if another process holds the lock, InputError if the file cannot be written.
     """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return _locked_file(path) if POSIX else Lock(_mutex_of(path.resolve()))
+    except BlockingIOError:
+        raise taken from None
+    except OSError as error:
+        raise unwritable(path.parent, error, advice) from error
+
+
+def _locked_file(path: Path) -> Lock:
+    """Make a file if there is none, and lock it.  Raises: as `_locked`."""
     while True:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch()
-        except OSError as error:
-            raise unwritable(path.parent, error, advice) from error
+        path.touch()
         try:
             lock = _locked(path, os.O_RDWR)
-        except BlockingIOError:
-            raise taken from None
         except FileNotFoundError:  # its last holder removed it just now
             continue
+        except BlockingIOError:
+            raise
         except OSError:
             return Lock(None, path)
-        if fcntl is None or _is_still(path, lock.handle):
+        if _is_still(path, lock.handle):
             return replace(lock, file=path)
         lock.release()
 
@@ -240,7 +250,7 @@ def _locked(path: Path, flags: int) -> Lock:
     Raises: BlockingIOError if another process holds the lock; OSError if there is no such path, or the file
     system has no locks.
     """
-    if fcntl is None:
+    if not POSIX:
         return Lock(_mutex_of(path.resolve(strict=True)))
     handle = os.open(path, flags)
     try:
@@ -372,7 +382,7 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
 
 def _to_disk(path: Path) -> None:
     """Wait until a file, or the list of names in a folder, is on the disk."""
-    if path.is_dir() and fcntl is None:  # Windows cannot open folders
+    if path.is_dir() and not POSIX:  # Windows cannot open folders
         return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:

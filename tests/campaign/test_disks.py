@@ -104,6 +104,7 @@ def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):
         pass
 
 
+@pytest.mark.posix
 def test_a_copy_that_stalls_is_one_line_and_no_hang(tmp_path):
     """A failure means that a file server which stops answering stops a campaign for ever."""
     pipe, film = tmp_path / "pipe.avi", tmp_path / "film.avi"

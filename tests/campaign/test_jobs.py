@@ -22,6 +22,8 @@ from vision.folder import run_folder
 from vision.run.provenance import Origin
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
 
+pytestmark = pytest.mark.posix  # without fork, what a test defines does not come to its jobs
+
 
 def keep(target, **facts):
     """A run folder of few files."""
@@ -178,6 +180,8 @@ def test_staged_films_are_read_from_the_node_s_disk(tmp_path, monkeypatch):
 def small_disk(folder, size):
     """A file system of its own, or a skip where there are no rights to mount one."""
     folder.mkdir()
+    if shutil.which("mount") is None:
+        pytest.skip("no program mounts file systems")
     made = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", folder], capture_output=True, check=False
     )

@@ -84,7 +84,7 @@ def test_a_film_that_was_moved_is_read_again(place, capsys):
         Path("far/moved.avi").rename(place / "video.avi")
     found = facts(Path("other"))
     assert found["found"]["strip"]["z0"] == 2
-    assert found["inputs"][0]["path"] == "far/moved.avi"
+    assert Path(found["inputs"][0]["path"]) == Path("far/moved.avi")
 
 
 def test_decisions_of_the_run_are_kept(place):

@@ -32,6 +32,7 @@ def grow(source, target, stop):
                 return
 
 
+@pytest.mark.posix
 def test_ctrl_c_ends_it_with_a_whole_run(film, tmp_path):
     """A failure means that nothing is seen while the camera writes, or that Ctrl-C loses what was read."""
     growing, stop = tmp_path / "a.avi", threading.Event()

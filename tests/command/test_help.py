@@ -120,6 +120,7 @@ def test_help_loads_nothing_heavy():
     """A failure means that `track --help` takes seconds."""
     code = (
         "import sys\n"
+        "from vision.command.console import open_closed_streams; open_closed_streams()\n"
         "from vision.command.main import run; run(['--help'])\n"
         f"print(sorted({HEAVY!r} & set(sys.modules)), file=sys.stderr)"
     )

@@ -1,5 +1,6 @@
 """Lengths, seconds and sheets as typed; options from a file."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -330,7 +331,9 @@ def test_a_file_whose_name_begins_with_a_hyphen_is_told_from_an_option(tmp_path,
     """A failure means that nothing says how such a film is given."""
     monkeypatch.chdir(tmp_path)
     Path("-fast.avi").touch()
-    assert "If the file of this name is meant, write ./-fast.avi (track --help" in refused("-fast.avi")
+    assert f"If the file of this name is meant, write .{os.sep}-fast.avi (track --help" in refused(
+        "-fast.avi"
+    )
 
 
 @pytest.mark.parametrize(

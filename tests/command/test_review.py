@@ -1,7 +1,6 @@
 """`track review`: what it prints, and when it does not begin."""
 
 import importlib.util
-import os
 import shutil
 import signal
 import subprocess
@@ -99,7 +98,7 @@ def test_a_second_review_is_refused(folder, capsys):
     assert "review" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no such signal")
+@pytest.mark.posix
 def test_the_address_is_printed_and_ctrl_c_ends_it(folder):
     """The whole command, as a person starts it."""
     command = [sys.executable, str(HOME / "cli.py"), "review", str(folder), "--no-browser"]

@@ -14,7 +14,7 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from vision import files
 from vision.memory import put_rows, table_in_file
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="shown on Linux alone")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="shown on Linux alone")
 ROOT = Path(__file__).resolve().parents[2]
 PAPER = ROOT / "fixtures" / "paper"
 
@@ -105,6 +105,24 @@ def test_a_run_that_another_program_has_open_is_not_replaced(tmp_path):
     assert "the new run is in r_2; close its files" in said
     assert (tmp_path / "r" / "tracks.csv").read_bytes() == (tmp_path / "r_2" / "tracks.csv").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r", "r_2"]
+
+
+REVIEWS = f"""{WINDOWS}
+from tests.scenes.reviewed import SETTINGS
+from tests.scenes.windows import held
+from vision.review.session import Session
+
+with Session(Path("r"), SETTINGS) as session:
+    session.tiles.part(0, 0, 0)
+    assert held("r") is None
+"""
+
+
+def test_a_review_leaves_its_run_closed(tmp_path):
+    """A failure means that no decision of a review can be saved on Windows: the run cannot be replaced."""
+    assert windows(PAPER / "video.avi", "--out", "r", "--no-report", folder=tmp_path)[0] == 0
+    status, said = windows(folder=tmp_path, program=("-c", REVIEWS))
+    assert status == 0, said
 
 
 def test_a_parser_is_tried_out_in_a_process_without_limits(tmp_path):

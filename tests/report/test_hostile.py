@@ -25,7 +25,7 @@ from vision.run.reading import read_run, read_strip
 NAME = '=HYPERLINK("http:x.y")<script>alert(1)<script>"onload=alert(2) $\\frac{$ {{7*7}}\r\n\udcff ../x'
 NAME = NAME.replace("/", "_")
 SHIPPED = Path(__file__).parents[2] / "vision" / "report" / "assets"
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="no such names there")
+pytestmark = pytest.mark.posix
 
 
 class Page(HTMLParser):

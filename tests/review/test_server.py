@@ -447,6 +447,7 @@ def test_of_another_run_or_damaged_it_is_not_used(kept, harm):
     assert read_first_view(kept) == {}
 
 
+@pytest.mark.posix
 def test_of_a_film_that_has_gone_since_it_is_not_used(run, tmp_path):
     """A failure means that a film is shown that is not there."""
     film = shutil.copy(FIXTURE / "video.avi", tmp_path / "video.avi")

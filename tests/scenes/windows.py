@@ -39,7 +39,7 @@ def _load(self: ctypes.CDLL, name: str | None, *more: object, **options: object)
     _LOAD(self, name, *more, **options)  # type: ignore[arg-type]
 
 
-def _held(path: object) -> str | None:
+def held(path: object) -> str | None:
     """Return a file at or below a path that this process holds open or mapped, None if there is none."""
     place = os.path.abspath(os.fspath(path))  # noqa: PTH100
     opened = [os.readlink(entry.path) for entry in os.scandir("/proc/self/fd") if os.path.islink(entry.path)]  # noqa: PTH114, PTH115
@@ -52,7 +52,7 @@ def _refusing(call: Callable[..., None]) -> Callable[..., None]:
     """Wrap a call that moves or removes a path, which Windows refuses for what is open."""
 
     def wrapped(path: object, *more: object, **options: object) -> None:
-        if options.get("dir_fd") is None and (name := _held(path)):
+        if options.get("dir_fd") is None and (name := held(path)):
             raise PermissionError(13, "the process cannot access the file as it is being used", name)
         call(path, *more, **options)
 

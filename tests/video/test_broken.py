@@ -153,6 +153,7 @@ def test_frames_far_too_large_are_refused_before_memory_is_taken(tmp_path, monke
 # --- what is opened, and under what name -----------------------------------------------------------
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("reader", [open_video, read_timestamps])
 def test_pipes_and_devices_are_refused(reader, tmp_path):
     """A failure means that the program waits, or reads, for ever."""
@@ -162,6 +163,7 @@ def test_pipes_and_devices_are_refused(reader, tmp_path):
             reader(type(tmp_path)(path))
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize(
     "name", ["2024-05-12T14:30:05.mkv", "concat:a.mkv", "a%20b?c#d.mkv", b"\xe9\xff.mkv"]
 )
@@ -212,7 +214,7 @@ def test_a_file_that_is_replaced_is_one_line(tmp_path):
     """A failure means that frames of two films are mixed."""
     file, other = big(tmp_path / "a.avi"), big(tmp_path / "b.avi")
     with pytest.raises(InputError, match="replaced"):
-        list(reading_while(file, lambda: other.rename(file)))
+        list(reading_while(file, lambda: other.replace(file)))
 
 
 def test_a_file_that_grows_is_said(tmp_path):

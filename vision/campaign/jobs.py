@@ -171,9 +171,9 @@ Returns: why there is no run, in one line; "" if there is one."""
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
-    Each film has a process of its own, where possible forked after the imports: if it dies (a crashing decoder, lack of
-    memory), this film is marked as failed and the next begins. `fetched` are local copies of the job's films
-    in object storage, in their order.
+    Each film has a process of its own, where possible forked after the imports: if it dies (a crashing
+    decoder, lack of memory), this film is marked as failed and the next begins. `fetched` are local copies of
+    the job's films in object storage, in their order.
     """
     importlib.import_module("vision.figures.drawing")  # matplotlib, once for all the films' processes
     copies = dict(zip(plan.remote(job), fetched, strict=False))

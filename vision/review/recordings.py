@@ -7,6 +7,7 @@ slip and every thin ridge.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import AGAIN, Stamp
-from vision.folder import RUN_JSON
+from vision.folder import POSIX, RUN_JSON
 from vision.memory import row_parts
 from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
@@ -86,20 +87,25 @@ class Diagram:
     def __init__(self, path: Path, first_column: int, settings: TrackingSettings) -> None:
         self.path, self.first_column, self.settings = path, first_column, settings
         self._offset, self._dtype, (self.frames, self.columns) = stored_kymograph(path)
-        self._file = path.open("rb")  # remains open, because saving replaces the file
-        self.close = self._file.close
+        # It remains open, because saving replaces it; Windows does not replace what is open.
+        self._file = path.open("rb") if POSIX else None
         self._lock = Lock()
         self.shared_rows = lru_cache(4)(self.rows)  # parts that neighbouring tiles share, up to 8 MB each
 
     def rows(self, start: int, stop: int) -> Floats32:
         """Return frames in grey levels, (frame, x); lost frames are NaN."""
         values = np.empty((max(0, min(stop, self.frames) - start), self.columns), self._dtype)
-        with self._lock:
-            self._file.seek(self._offset + start * self.columns * self._dtype.itemsize)
-            done = self._file.readinto(values.reshape(-1).view(np.uint8).data)
+        with self._lock, nullcontext(self._file) if self._file else self.path.open("rb") as file:
+            file.seek(self._offset + start * self.columns * self._dtype.itemsize)
+            done = file.readinto(values.reshape(-1).view(np.uint8).data)
         if done < values.nbytes:
             raise InputError(self.path, f"{self.frames} frames", "a file that was cut short", AGAIN)
         return np.asarray(values, np.float32)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file:
+            self._file.close()
 
     def sample(self, count: int) -> Floats32:
         """Return frames spread over the run."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from vision.errors import InputError, unexpected
 from vision.files import PACKAGE_PATHS
-from vision.folder import clean_up, keep_others, plain, put_in_place, unwritable
+from vision.folder import POSIX, clean_up, keep_others, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions
@@ -188,7 +188,7 @@ def in_child(server: int) -> None:
 
     def tell(content: Any, done: int = 0, total: int = 0, *, kind: str = "stage") -> None:
         # On Windows the parent may be the launcher of the virtual environment.
-        if os.name == "posix" and os.getppid() != server:
+        if POSIX and os.getppid() != server:
             os._exit(1)
         lines.write(json.dumps([kind, content, done, total]) + "\n")
         lines.flush()
