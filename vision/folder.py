@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import shutil
+import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
@@ -313,7 +314,7 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = R
     moved; in that case `made` gets another name, so that nothing that was computed is lost.
     """
     if not target.exists():
-        made.rename(target)
+        _rename(made, target)
         return
     _check_earlier(target, overwrite=overwrite, known_by=known_by)
     if _exchange(made, target):
@@ -321,18 +322,31 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = R
     old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
     try:
         try:
-            target.rename(old)
+            _rename(target, old)
         except OSError as error:
             beside = _free_name(target)
-            made.rename(beside)
+            _rename(made, beside)
             advice = f"the new run is in {beside}; {CLOSE_FILES} before the next"
             raise InputError(target, "a folder that can be replaced", reason_of(error), advice) from error
-        made.rename(target)
+        _rename(made, target)
     finally:
         try:
             _restore_or_remove(old, target)
         finally:  # again, as an interrupt may have ended it
             _restore_or_remove(old, target)
+
+
+def _rename(folder: Path, name: Path) -> None:
+    """Rename a folder. Windows does not, while a virus scanner looks into a new file: then again, for 3 s."""
+    patience_until = time.monotonic() + (0 if POSIX else 3)
+    while True:
+        try:
+            folder.rename(name)
+            return
+        except PermissionError:
+            if time.monotonic() > patience_until:
+                raise
+            time.sleep(0.05)
 
 
 def _free_name(target: Path) -> Path:

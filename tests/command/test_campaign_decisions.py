@@ -1,6 +1,7 @@
 """Decisions of a review in a campaign's folder, when the films are tracked again with other settings."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -27,7 +28,7 @@ def track(tmp_path, paths, **options):
     plan = make_plan(tests, tmp_path / "out", report=False)
     write_plan(plan)
     (name,) = plan.jobs
-    assert run_job(plan, name, lambda *one: _track_film(plan, *one)) == 0
+    assert run_job(plan, name, partial(_track_film, plan)) == 0
     run = read_run(plan.run_of("t0"))
     return run, run.facts["warnings"]
 

@@ -125,6 +125,22 @@ def test_a_review_leaves_its_run_closed(tmp_path):
     assert status == 0, said
 
 
+SCANNED = f"""{WINDOWS}
+import threading
+
+with folder.run_folder(Path("r")) as made:
+    file = (made / "run.json").open("w")
+    threading.Timer(0.3, file.close).start()
+"""
+
+
+def test_a_virus_scanner_may_look_at_a_new_run(tmp_path):
+    """A failure means that a run is lost, since one of its files was open for a moment."""
+    status, said = windows(folder=tmp_path, program=("-c", SCANNED))
+    assert status == 0, said
+    assert (tmp_path / "r" / "run.json").exists()
+
+
 def test_a_parser_is_tried_out_in_a_process_without_limits(tmp_path):
     """A failure means that no MATLAB file can be read on Windows, or that a damaged one is."""
     (tmp_path / "pull.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))

@@ -61,6 +61,7 @@ def test_structure_is_found_and_changed(tmp_path):
             assert sum(changed) >= 15, file
 
 
+@pytest.mark.posix
 def test_a_failure_is_noticed(tmp_path, monkeypatch):
     """The check must see tracebacks and hangs, or it proves nothing."""
     file = tmp_path / "a.txt"

@@ -25,7 +25,6 @@ from vision.run.reading import read_run, read_strip
 NAME = '=HYPERLINK("http:x.y")<script>alert(1)<script>"onload=alert(2) $\\frac{$ {{7*7}}\r\n\udcff ../x'
 NAME = NAME.replace("/", "_")
 SHIPPED = Path(__file__).parents[2] / "vision" / "report" / "assets"
-pytestmark = pytest.mark.posix
 
 
 class Page(HTMLParser):
@@ -76,7 +75,7 @@ def check_csv(file):
     assert [cell for cell in cells if cell and bites(cell)] == []
 
 
-pytestmark = pytest.mark.usefixtures("without_pictures")
+pytestmark = [pytest.mark.posix, pytest.mark.usefixtures("without_pictures")]
 
 
 @pytest.fixture(scope="module")

@@ -129,6 +129,7 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(session, monkeypatch, cod
     assert len(session.decisions) == len(PLANTED)
 
 
+@pytest.mark.posix
 def test_a_run_on_a_file_server_without_locks_is_reviewed(run, monkeypatch):
     """A failure means that such a run is said to be under review already, for ever."""
 
@@ -172,6 +173,7 @@ def test_nothing_beside_the_data_is_executed(session, tmp_path, monkeypatch):
     assert not (tmp_path / "executed").exists()
 
 
+@pytest.mark.posix
 def test_a_film_that_is_moved_away_meanwhile(run, tmp_path):
     """A failure means that the review ends with the film, or that it says nothing."""
     film = shutil.copy(VIDEO, tmp_path / "moved.avi")

@@ -373,7 +373,7 @@ def test_another_strip_is_tracked_before_it_is_kept(clocked, monkeypatch):
     assert (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]) == (10, 14)
     assert [one.kind for one in clocked.decisions] == ["strip"]
     assert not clocked.changed
-    assert list(folder.parent.glob(".clean.*")) == [folder.parent / ".clean.review"]
+    assert {one.name for one in folder.parent.glob(".clean.*")} <= {".clean.review"}
 
     away = np.abs(tracks["x_px"].values - earlier)
     assert found["compared"] == np.isfinite(away).sum()
@@ -394,7 +394,7 @@ def test_tracking_again_can_be_cancelled(clocked):
     clocked.trial.discard()
     assert not clocked.saver.running
     assert clocked.trial.state()["found"] is None
-    assert list(clocked.folder.parent.glob(".clean.*")) == [clocked.folder.parent / ".clean.review"]
+    assert {one.name for one in clocked.folder.parent.glob(".clean.*")} <= {".clean.review"}
     with pytest.raises(InputError, match="track again first"):
         clocked.trial.keep()
     clocked.decide({"kind": "axis", "x_px": 590.0})  # and it goes on

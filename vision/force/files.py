@@ -622,17 +622,19 @@ def worksheets(path: Path) -> Iterator[tuple[str, Iterator[list[str]]]]:
     """Yield the title of each worksheet of an Excel workbook, and its rows as cells of text."""
     import openpyxl
 
-    size = sum(part.file_size for part in zipfile.ZipFile(path).infolist())  # unpacked
+    with zipfile.ZipFile(path) as packed:
+        size = sum(part.file_size for part in packed.infolist())  # unpacked
     if size > _Most.mixed_bytes:
         wanted = f"a workbook of at most {_Most.mixed_bytes >> 30} GiB when unpacked"
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers as text")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about styles and menus, which are not read
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    with contextlib.closing(book):
-        for sheet in book.worksheets:
-            sheet.reset_dimensions()  # stated ones may be wrong
-            yield sheet.title, (_written(row, path) for row in sheet.iter_rows(values_only=True))
+    with path.open("rb") as file:  # openpyxl leaves damaged files open, which Windows then does not remove
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about styles and menus, which are not read
+            book = openpyxl.load_workbook(file, read_only=True, data_only=True)
+        with contextlib.closing(book):
+            for sheet in book.worksheets:
+                sheet.reset_dimensions()  # stated ones may be wrong
+                yield sheet.title, (_written(row, path) for row in sheet.iter_rows(values_only=True))
 
 
 def _written(row: tuple[object, ...], path: Path) -> list[str]:
