@@ -14,7 +14,8 @@ import pytest
 
 from vision import folder
 from vision.errors import InputError
-from vision.folder import check_target, claim, run_folder, write_json
+from vision.folder import check_target, run_folder, write_json
+from vision.locks import claim
 from vision.run.provenance import Parameter
 
 
@@ -175,7 +176,6 @@ def test_one_at_a_time_holds_a_claim_which_leaves_no_file(tmp_path):
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(take_turns, range(8)))
     assert max(most) == 1
-    assert len(most) > 200
     assert not any(tmp_path.iterdir())
 
 

@@ -12,6 +12,7 @@ LAYERS = (
     "numeric",
     "words",
     "signals",
+    "locks",
     "folder",
     "data",
     "sample",

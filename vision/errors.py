@@ -158,6 +158,13 @@ def reason_of(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or error).lower()
 
 
+def unwritable(
+    target: Path, error: OSError, advice: str = "nothing was written; give another `out`"
+) -> InputError:
+    """Return the error for a file or folder that could not be written."""
+    return InputError(target, "a place that can be written", reason_of(error), advice)
+
+
 def unexpected(error: BaseException) -> str:
     """Return an error that nobody foresaw in one line, with its type."""
     return " ".join(f"unexpected {type(error).__name__}: {error}".split())

@@ -71,7 +71,7 @@ from pathlib import Path
 from tests.scenes.windows import become_windows
 
 become_windows()
-from vision import folder
+from vision import folder, locks
 from vision.command import main
 """
 
@@ -80,7 +80,7 @@ def test_what_a_killed_run_left_is_removed_but_not_what_one_writes(tmp_path):
     """A failure means that hidden folders pile up, or that two runs remove each other's files."""
     for name in (".r.1.part", ".r.2.old", ".r.reading", ".r.3.part"):
         (tmp_path / name).mkdir()
-    held = "lock = folder.lock_folder(Path('.r.3.part'))\nassert not folder.lock_folder(Path('.r.3.part'))\n"
+    held = "lock = locks.lock_folder(Path('.r.3.part'))\nassert not locks.lock_folder(Path('.r.3.part'))\n"
     film = [PAPER / "video.avi", "--out", "r", "--no-report"]
     assert windows(*film, folder=tmp_path, program=("-c", f"{WINDOWS}{held}raise SystemExit(main())"))[0] == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [".r.3.part", "r"]

@@ -136,7 +136,7 @@ def test_a_run_on_a_file_server_without_locks_is_reviewed(run, monkeypatch):
     def none(*_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr("vision.folder.fcntl.flock", none)
+    monkeypatch.setattr("vision.locks.fcntl.flock", none)
     with Session(run, SETTINGS) as session:
         session.decide(LEFT_OUT)
     assert read_decisions(run / "corrections.toml").corrections

@@ -42,7 +42,7 @@ from vision.command.settings import at_least, parse_option, read_config, setting
 from vision.command.track import origin_of, run_name, track_one
 from vision.errors import InputError, counted, with_options
 from vision.files import answered, usable_cores
-from vision.folder import Lock, claim
+from vision.locks import Lock, claim
 from vision.pipeline import check_recordings, open_force, open_recording
 from vision.run.provenance import Parameter
 from vision.summary import aligned

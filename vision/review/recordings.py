@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import AGAIN, Stamp
-from vision.folder import POSIX, RUN_JSON
+from vision.folder import RUN_JSON
+from vision.locks import POSIX
 from vision.memory import row_parts
 from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording

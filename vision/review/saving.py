@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vision.errors import InputError, unexpected
+from vision.errors import InputError, unexpected, unwritable
 from vision.files import PACKAGE_PATHS
-from vision.folder import POSIX, clean_up, keep_others, plain, put_in_place, unwritable
+from vision.folder import clean_up, keep_others, plain, put_in_place
+from vision.locks import POSIX
 from vision.numeric import Floats, Ints
 from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions

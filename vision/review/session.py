@@ -14,7 +14,8 @@ import numpy as np
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import AGAIN, reading
-from vision.folder import claim, plain, whole_file
+from vision.folder import plain, whole_file
+from vision.locks import claim
 from vision.memory import give_back_freed
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings

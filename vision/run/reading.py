@@ -26,16 +26,15 @@ from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, Progress, matching, reading, shortened, try_out
 from vision.folder import (
     RUN_JSON,
-    Lock,
     check_target,
     existing_parent,
     from_json,
-    lock_folder,
     plain,
     reading_folder,
     whole_file,
     write_json,
 )
+from vision.locks import Lock, lock_folder
 from vision.memory import row_parts
 from vision.numeric import number
 from vision.pipeline import Analysis, Settings, analyse, open_recording
