@@ -8,7 +8,6 @@ their own ways by the system that they see.
 import ctypes
 import fcntl
 import mmap
-import multiprocessing
 import os
 import shutil
 import signal
@@ -94,7 +93,6 @@ def become_windows() -> None:
     kernel = SimpleNamespace(CreateMutexW=_create_mutex, CloseHandle=_close_handle)
     ctypes.WinDLL = lambda name, use_last_error: kernel
     ctypes.get_last_error = lambda: _last_error[0]
-    multiprocessing.get_all_start_methods = lambda: ["spawn"]
 
     from vision import files
 

@@ -171,9 +171,9 @@ Returns: why there is no run, in one line; "" if there is one."""
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
-    Each film has a process of its own, where possible forked after the imports: if it dies (a crashing
-    decoder, lack of memory), this film is marked as failed and the next begins. `fetched` are local copies of
-    the job's films in object storage, in their order.
+    Each film has a process of its own, on Linux forked after the imports: if it dies (a crashing decoder,
+    lack of memory), this film is marked as failed and the next begins. `fetched` are local copies of the
+    job's films in object storage, in their order.
     """
     importlib.import_module("vision.figures.drawing")  # matplotlib, once for all the films' processes
     copies = dict(zip(plan.remote(job), fetched, strict=False))
@@ -191,8 +191,12 @@ def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -
 
 
 def _in_child(work: Callable[[], None]) -> int:
-    """Run `work` in a forked process, on Windows in a new one; return its exit code, < 0 for a signal."""
-    forks = "fork" in multiprocessing.get_all_start_methods()
+    """Run `work` in a process of its own; return its exit code, < 0 for a signal.
+
+    On Linux it is forked, and has what is loaded; Windows cannot fork, and macOS's own libraries do not bear
+    it.
+    """
+    forks = sys.platform.startswith("linux")
     context = multiprocessing.get_context("fork") if forks else multiprocessing.get_context("spawn")
     child = context.Process(target=_until_parent_ends, args=(work,))
     child.start()
