@@ -129,6 +129,13 @@ def leave_behind(folder, name, text):
     write_run(folder / name, text)
 
 
+def test_a_drive_that_is_not_there_is_said(tmp_path, monkeypatch):
+    """A failure means a traceback on Windows, where a disk was unplugged or has another letter."""
+    monkeypatch.setattr(Path, "exists", lambda path: False)
+    with pytest.raises(InputError, match="found no drive or server"):
+        check_target(tmp_path / "out", overwrite=False)
+
+
 def test_what_a_killed_process_left_is_removed(tmp_path):
     """A failure means that hidden folders pile up beside the data."""
     with run_folder(tmp_path / "out") as folder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import html
 import itertools
@@ -282,8 +283,14 @@ def _to_disk(path: Path) -> None:
 
 
 def existing_parent(path: Path) -> Path:
-    """Return the nearest folder above a path that exists."""
-    return next(parent for parent in path.absolute().parents if parent.exists())
+    """Return the nearest folder above a path that exists.
+
+    Raises: FileNotFoundError if none does: a drive or server of Windows that is not there.
+    """
+    for parent in path.absolute().parents:
+        if parent.exists():
+            return parent
+    raise FileNotFoundError(errno.ENOENT, f"no drive or server {path.absolute().drive}")
 
 
 def write_json(content: Mapping[str, Any], path: Path) -> None:
