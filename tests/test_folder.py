@@ -132,7 +132,7 @@ def leave_behind(folder, name, text):
 def test_a_drive_that_is_not_there_is_said(tmp_path, monkeypatch):
     """A failure means a traceback on Windows, where a disk was unplugged or has another letter."""
     monkeypatch.setattr(Path, "exists", lambda path: False)
-    with pytest.raises(InputError, match="found no drive or server"):
+    with pytest.raises(InputError, match="found no such drive or server"):
         check_target(tmp_path / "out", overwrite=False)
 
 

@@ -45,6 +45,14 @@ def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> 
             _check_earlier(target, overwrite=overwrite, known_by=known_by)
             if not POSIX:
                 _check_closed(target)
+    except OSError as error:
+        raise unwritable(target, error) from error
+    check_place(target)
+
+
+def check_place(target: Path) -> None:
+    """Check that a file or folder can be written, before anything is computed.  Raises: InputError."""
+    try:
         parent = existing_parent(target)
     except OSError as error:
         raise unwritable(target, error) from error
@@ -290,7 +298,7 @@ def existing_parent(path: Path) -> Path:
     for parent in path.absolute().parents:
         if parent.exists():
             return parent
-    raise FileNotFoundError(errno.ENOENT, f"no drive or server {path.absolute().drive}")
+    raise FileNotFoundError(errno.ENOENT, "no such drive or server")
 
 
 def write_json(content: Mapping[str, Any], path: Path) -> None:

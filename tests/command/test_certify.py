@@ -92,6 +92,14 @@ def test_what_cannot_be_certified(tmp_path, refused):
     refused("certify", tmp_path, "--films", "0")
 
 
+def test_a_place_that_cannot_be_written_is_said_at_once(made, tmp_path, monkeypatch, refused):
+    """A failure means that minutes of films are made, and lost."""
+    monkeypatch.setattr("vision.command.views.certify_run", None)
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert "expected a place for a folder; found a file" in refused("certify", made[0], "--out", place)
+
+
 def _positions(path):
     with xr.open_dataset(path, engine="h5netcdf") as data:
         return data["x_px"].values

@@ -45,7 +45,7 @@ from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_
 from vision.errors import InputError, counted, did_you_mean
 from vision.figures import kymograph_figure, load_figures, preview_figure
 from vision.files import AGAIN, expanded, reading
-from vision.folder import check_new, whole_file
+from vision.folder import check_new, check_place, whole_file
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.export import Format, export_run, write_overlay
 from vision.run.reading import check_outside, check_results, is_run, read_run, stored_analysis
@@ -436,8 +436,7 @@ def certify(
     check_outside(target, run)
     if (target / "certificate.json").exists():
         check_new(target, overwrite=output.overwrite, kind="folder")
-    if target.exists() and not target.is_dir():
-        raise InputError(target, "a folder", "a file", "give another `out`")
+    check_place(target / "certificate.html")
     settings = CertifySettings(films=films, most_frames=most_frames)
     with frame_progress("films", quiet=output.quiet) as progress:
         certificate = certify_run(finished, settings=settings, progress=progress)
