@@ -31,7 +31,7 @@ TRUTH = "truth.nc"
 KNOWN_BY = {RUN_JSON: "a run folder", TRUTH: "a synthetic test"}  # what a folder is, by a file in it
 PART, OLD = ".part", ".old"  # suffixes of a run that is being written, and of one that was moved aside
 READING = ".reading"  # suffix of the folder that holds the frames read so far
-CLOSE_FILES = "close its files in other programs (Excel?)"
+CLOSE_FILES = "close its files where they are open (Excel, a notebook)"
 
 
 def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
