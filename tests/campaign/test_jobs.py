@@ -16,7 +16,7 @@ import pytest
 
 import vision
 from tests.campaign.scenes import films, planned
-from vision.campaign.jobs import close_states, run_job
+from vision.campaign.jobs import SNAKEFILE, close_states, run_job
 from vision.campaign.results import needs_pool, open_tables, pool, write_page
 from vision.errors import InputError
 from vision.folder import run_folder
@@ -226,3 +226,14 @@ def test_a_full_disk_in_the_middle(tmp_path, monkeypatch):
             write_page(plan, live=False)
     finally:
         subprocess.run(["umount", "-l", tmp_path / "disk"], check=True)
+
+
+def test_jobs_are_quoted_as_the_command_prompt_of_windows_needs(monkeypatch):
+    """A failure means that no film of a campaign is tracked on Windows."""
+    settings, _, _ = SNAKEFILE.read_text(encoding="utf-8").partition('if "plan" in config')
+    found = {"config": {}}
+    with monkeypatch.context() as windows:
+        windows.setattr("os.name", "nt")
+        windows.setattr("sys.executable", "C:\\my programs\\python.exe")
+        exec(settings, found)
+    assert found["TRACK"] == '"C:\\my programs\\python.exe" -P -m vision.command'

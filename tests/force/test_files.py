@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import zipfile
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -232,6 +234,20 @@ def test_excel_without_a_recording(rows: list[list[object]], found: str, tmp_pat
     """A failure means a traceback for an empty workbook, one of text, or one that would take all memory."""
     with pytest.raises(InputError, match=found):
         read_force(_workbook(tmp_path / "test.xlsx", {"Data": rows}))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there it is seen what is open")
+def test_a_damaged_workbook_is_closed(tmp_path: Path) -> None:
+    """A failure means that Windows does not let it be removed, or exported again."""
+    from tests.scenes.windows import held
+
+    whole, damaged = _workbook(tmp_path / "whole.xlsx", {"Data": [[0.1, 5.0]]}), tmp_path / "damaged.xlsx"
+    with zipfile.ZipFile(whole) as parts, zipfile.ZipFile(damaged, "w") as out:
+        for name in parts.namelist():
+            out.writestr(name, "<" if name == "xl/workbook.xml" else parts.read(name))
+    with pytest.raises(InputError, match="damaged") as caught:
+        read_force(damaged)
+    assert held(damaged) is None, caught  # which refers to everything that was in use
 
 
 def test_excel_that_unpacks_to_more_than_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
