@@ -34,8 +34,18 @@ READING = ".reading"  # suffix of the folder that holds the frames read so far
 CLOSE_FILES = "close its files where they are open (Excel, a notebook)"
 
 
-def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
-    """Check that a folder can be written, before anything is computed.
+def check_target(target: Path, *, overwrite: bool) -> None:
+    """Check that a run folder can be written, before anything is computed.
+
+    Raises: InputError, also on Windows if a file in it is open.
+    """
+    _check_writable(target, overwrite=overwrite, known_by=RUN_JSON)
+    if not POSIX:
+        _check_closed(target)
+
+
+def _check_writable(target: Path, *, overwrite: bool, known_by: str) -> None:
+    """Check that a folder can be written.
 
     known_by: the file that an earlier folder must hold to be replaced, one of `KNOWN_BY`.
     Raises: InputError if it exists, not empty (with `overwrite`: without that file), or the disk refuses.
@@ -43,8 +53,6 @@ def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> 
     try:
         if target.exists():
             _check_earlier(target, overwrite=overwrite, known_by=known_by)
-            if not POSIX:
-                _check_closed(target)
     except OSError as error:
         raise unwritable(target, error) from error
     check_place(target)
@@ -109,12 +117,12 @@ def run_folder(target: Path, *, overwrite: bool = False, known_by: str = RUN_JSO
     killed process left behind is first removed or restored (`clean_up`). A link to a folder stays, and the
     folder that it leads to is replaced.
 
-    known_by: as for `check_target`.
+    known_by: the file that an earlier folder must hold to be replaced, one of `KNOWN_BY`.
     Raises: InputError if the target exists or cannot be written, or the disk is full.
     """
     target = target.resolve() if target.is_symlink() else target
     clean_up(target)
-    check_target(target, overwrite=overwrite, known_by=known_by)
+    _check_writable(target, overwrite=overwrite, known_by=known_by)
     lock = None
     try:
         with _temporary_folder(target, PART) as temporary:

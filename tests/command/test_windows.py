@@ -88,6 +88,23 @@ def test_what_a_killed_run_left_is_removed_but_not_what_one_writes(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r"]
 
 
+OPENED_MEANWHILE = f"""{WINDOWS}
+import importlib
+
+module = importlib.import_module("vision.command.track")
+analyse = module.analyse
+
+def then_open(*given, **options):
+    global file
+    analysis = analyse(*given, **options)
+    file = open("r/tracks.csv")
+    return analysis
+
+module.analyse = then_open
+raise SystemExit(main())
+"""
+
+
 def test_a_run_that_another_program_has_open_is_not_replaced(tmp_path):
     """A failure means that a table that Excel shows costs an hour's tracking, or is found at its end."""
     film = [PAPER / "video.avi", "--out", "r", "--no-report"]
@@ -99,7 +116,7 @@ def test_a_run_that_another_program_has_open_is_not_replaced(tmp_path):
     assert "found tracks.csv: the process cannot access the file" in said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r"]
 
-    program = ("-c", f"{held}folder._check_closed = lambda run: None\nraise SystemExit(main())")
+    program = ("-c", OPENED_MEANWHILE)
     status, said = windows(*film, "--overwrite", folder=tmp_path, program=program)
     assert status == 2
     assert "the new run is in r_2; close its files" in said
@@ -110,16 +127,25 @@ def test_a_run_that_another_program_has_open_is_not_replaced(tmp_path):
 REVIEWS = f"""{WINDOWS}
 from tests.scenes.reviewed import SETTINGS
 from tests.scenes.windows import held
+from vision.errors import InputError
+from vision.review.saving import save_decisions
 from vision.review.session import Session
 
 with Session(Path("r"), SETTINGS) as session:
     session.tiles.part(0, 0, 0)
     assert held("r") is None
+    job, file, said = session.job([], []), open("r/tracks.csv"), []
+    try:
+        save_decisions(job, said.append)
+    except InputError as error:
+        assert "expected a folder that no program uses" in str(error)
+    assert said == ["reading the run"]
 """
 
 
 def test_a_review_leaves_its_run_closed(tmp_path):
-    """A failure means that no decision of a review can be saved on Windows: the run cannot be replaced."""
+    """A failure means that no decision of a review can be saved on Windows, since the run cannot be replaced,
+    or that it is measured again before that is said."""
     assert windows(PAPER / "video.avi", "--out", "r", "--no-report", folder=tmp_path)[0] == 0
     status, said = windows(folder=tmp_path, program=("-c", REVIEWS))
     assert status == 0, said

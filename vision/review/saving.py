@@ -19,7 +19,7 @@ import numpy as np
 
 from vision.errors import InputError, unexpected, unwritable
 from vision.files import PACKAGE_PATHS
-from vision.folder import clean_up, keep_others, plain, put_in_place
+from vision.folder import check_target, clean_up, keep_others, plain, put_in_place
 from vision.locks import POSIX
 from vision.numeric import Floats, Ints
 from vision.pipeline import Settings
@@ -60,6 +60,7 @@ def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: Non
     """
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
+    check_target(job.into or folder, overwrite=True)
     run = StoredRun.of(folder)
     tell("measuring")
 
