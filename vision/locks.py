@@ -36,10 +36,10 @@ class Lock:
                 self.file.unlink()
         if self.handle is None:
             return
-        if not POSIX:
-            _kernel32().CloseHandle(ctypes.c_void_p(self.handle))
-        else:
+        if POSIX:
             os.close(self.handle)
+        else:
+            _kernel32().CloseHandle(ctypes.c_void_p(self.handle))
 
     def __enter__(self) -> Self:
         return self
@@ -51,7 +51,7 @@ class Lock:
 def lock_folder(folder: Path) -> Lock | None:
     """Lock a folder; None if another process holds its lock, or it cannot be locked."""
     try:
-        return _locked(folder, os.O_RDONLY)
+        return _locked(folder, os.O_RDONLY) if POSIX else _mutex_of(folder.resolve(strict=True))
     except OSError:
         return None
 
@@ -65,7 +65,7 @@ def claim(path: Path, taken: InputError, advice: str) -> Lock:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return _locked_file(path) if POSIX else Lock(_mutex_of(path.resolve()))
+        return _locked_file(path) if POSIX else _mutex_of(path.resolve())
     except BlockingIOError:
         raise taken from None
     except OSError as error:
@@ -98,16 +98,11 @@ def _is_still(path: Path, handle: int | None) -> bool:
 
 
 def _locked(path: Path, flags: int) -> Lock:
-    """Lock a file or folder.
-
-    Windows can neither lock a folder nor rename one in which a file is open: there a mutex, whose name
-    follows from the path, stands for it.
+    """Lock a file or folder on a POSIX system.
 
     Raises: BlockingIOError if another process holds the lock; OSError if there is no such path, or the file
     system has no locks.
     """
-    if not POSIX:
-        return Lock(_mutex_of(path.resolve(strict=True)))
     handle = os.open(path, flags)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -117,8 +112,14 @@ def _locked(path: Path, flags: int) -> Lock:
     return Lock(handle)
 
 
-def _mutex_of(path: Path) -> int:
-    """Make the mutex of a path on Windows.  Raises: BlockingIOError if another process has made it."""
+def _mutex_of(path: Path) -> Lock:
+    """Lock a path on Windows.
+
+    Windows can neither lock a folder nor rename one in which a file is open: a mutex, whose name follows from
+    the path, stands for it.
+
+    Raises: BlockingIOError if another process has made it.
+    """
     kernel, name = _kernel32(), hashlib.sha256(os.path.normcase(path).encode()).hexdigest()
     handle = kernel.CreateMutexW(None, False, f"Global\\sheetvision-{name}")
     exists = ctypes.get_last_error() == 183  # type: ignore[attr-defined]  # ERROR_ALREADY_EXISTS
@@ -126,7 +127,7 @@ def _mutex_of(path: Path) -> int:
         kernel.CloseHandle(ctypes.c_void_p(handle))
     if exists or not handle:  # not: another user's
         raise BlockingIOError
-    return int(handle)
+    return Lock(handle)
 
 
 def _kernel32() -> Any:

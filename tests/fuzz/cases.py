@@ -17,6 +17,11 @@ from vision.errors import InputError
 from vision.force import read_force
 from vision.video import open_video, read_timestamps
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
 SECONDS = 60  # on a machine that does much else; on a quiet one a case takes milliseconds
 MEMORY_BYTES = 2 << 30
 FORCE = ("text", "mat", "hdf5", "xlsx")
@@ -118,7 +123,7 @@ def peak_bytes() -> int:
         lines = Path("/proc/self/status").read_text().splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) << 10
     except (OSError, StopIteration):
-        return 0  # only Linux tells
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10 if resource else 0
 
 
 @contextmanager
